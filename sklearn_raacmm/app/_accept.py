@@ -31,14 +31,8 @@ from sklearn_raacmm.acceptance import (
     predict_acceptance,
 )
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import (
-    correction_files,
-    in_rad,
-    load_arm,
-    load_correction,
-    print_notes,
-    text_of_label,
-)
+from sklearn_raacmm.app._files import check_outputs, load_arm, load_correction, print_notes
+from sklearn_raacmm.app._given import in_rad
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import (
     SHEETS,
@@ -49,10 +43,10 @@ from sklearn_raacmm.app._sources import (
     parse_number,
     read_sheets,
 )
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._tables import Layout, text_of_label
 from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.export import describe
-from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
+from sklearn_raacmm.utils import digest_of, numbered_rows, write_whole
 
 OK, FAILED, NOT_JUDGED = 0, 3, 4
 _TABLES = ("readings", "artefacts", "limits", "sheet")
@@ -83,19 +77,15 @@ def accept(options):
     saved = load_correction(options.model) if options.model else None
     arm = load_arm(options.arm) if options.arm else None
     path, out = Path(options.run), Path(options.out)
-    if options.template:
-        return _write_template(path, arm or getattr(saved, "arm", None))
-    check_installed("jinja2")
-    read = [path, *(path / f"{name}.csv" for name in _TABLES), options.arm]
-    read += correction_files(options.model) if options.model else []
-    check_places(filter(None, [out, options.dcc]), filter(None, read))
     left_arm = saved.arm if saved else arm
+    if options.template:
+        return _write_template(path, left_arm)
+    check_installed("jinja2")
+    check_outputs(options, [out, options.dcc], [path / f"{name}.csv" for name in _TABLES])
     run, rows, entries, limits, digest = _read_run(path, left_arm)
-    found_arm = arm if saved else None
+    given = {"found": arm if saved else None, "limits": limits, "rule": options.rule}
     with numbered_rows(rows):
-        result = evaluate_acceptance(
-            run, left_arm, saved, found=found_arm, limits=limits, rule=options.rule
-        )
+        result = evaluate_acceptance(run, left_arm, saved, **given)
     expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
     if saved:
@@ -168,8 +158,7 @@ def _read_run(path, arm):
     """A run, numbers of its rows, entries of the sheet, limits, fingerprint of the readings."""
     tables = _read_tables(path)
     file, sheet = (path / "readings.csv", None) if path.is_dir() else (path, "readings")
-    table = _read_readings(file, arm, sheet, tables["readings"])
-    print_notes(table["notes"])
+    columns, numbers = _read_readings(file, arm, sheet, tables["readings"])
     entries, tip = dict.fromkeys(ENTRIES, ""), 0.0
     known = {word: key for key, label in ENTRIES.items() for word in (key, label.lower())}
     for row in tables["sheet"]:
@@ -188,9 +177,9 @@ def _read_run(path, arm):
         }
         # What is not stated keeps its default.
         artefacts.append(Artefact(**{k: value for k, value in given.items() if value is not None}))
-    run = AcceptanceRun(**table["columns"], artefacts=artefacts, tip_mm=tip)
+    run = AcceptanceRun(**columns, artefacts=artefacts, tip_mm=tip)
     limits = dict(filter(None, (_limit(path, row) for row in tables["limits"])))
-    return run, table["rows"], entries, limits, digest_of(file.read_bytes())
+    return run, numbers, entries, limits, digest_of(file.read_bytes())
 
 
 def _read_tables(path):
@@ -208,18 +197,19 @@ def _read_tables(path):
     for name, rows in tables.items():
         # A day in a spreadsheet is its midnight.
         texts = [[str(c).strip().removesuffix(" 00:00:00") for c in cells] for _, cells in rows]
-        heads = [_heading(cell) for cell in texts[0]] if texts else []
-        for cell, head in zip(texts[0] if texts else (), heads, strict=True):
+        first, *rest = texts or [[]]
+        heads = list(map(_heading, first))
+        for cell, head in zip(first, heads, strict=True):
             units = {_unit(cell), _unit(meant.get(head, ""))} - {""}
             if name != "readings" and len(units) == 2 and units <= MM_PER_UNIT.keys():
                 raise TableError(f"{path}: in the table {name} {cell!r} has to be {meant[head]!r}.")
-        pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
-        tables[name] = [dict(pair) for pair in pairs]
+        pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in rest)
+        tables[name] = list(map(dict, pairs))
     return tables
 
 
 def _read_readings(path, arm, sheet, rows):
-    """Labels, angles and points of the table of readings, whose cells are in `rows`, too."""
+    """Columns of the table of readings, whose cells are in `rows`, too, and numbers of its rows."""
     if rows and not any(cell for row in rows for name, cell in row.items() if name not in LABELS):
         raise TableError(
             f"{path}: none of the {len(rows)} rows of the table readings holds numbers: fill in "
@@ -242,8 +232,9 @@ def _read_readings(path, arm, sheet, rows):
         options |= {"joint_names": arm.names, "joint_types": arm.joint_types}
         table = Layout(path, arm.n_joints, **options).read()
         measured = {"angles": in_rad(table), "points": table.points}
+    print_notes(table.notes)
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
-    return {"columns": labels | measured, "rows": table.rows, "notes": table.notes}
+    return labels | measured, table.rows
 
 
 def _heading(text):
@@ -272,10 +263,10 @@ def _limit(path, row):
     a, k, b = (_number(path, row, heading, 1.0) for heading in _LIMITS[1:])
     if a is None:
         return None
-    if k is not None and k <= 0:
+    k, b = (np.inf if one is None else one for one in (k, b))
+    if k <= 0:
         raise TableError(f"{path}: K of the limit of {row['value']} must be positive, got {k}.")
-    most = np.inf if b is None else b / 1e3
-    return row["value"], (a / 1e3, 0.0 if k is None else 1e-3 / k, most)
+    return row["value"], (a / 1e3, 1e-3 / k, b / 1e3)
 
 
 # -- the template ---------------------------------------------------------------------------------

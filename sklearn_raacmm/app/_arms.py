@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
+from sklearn_raacmm.app._files import load_arm, print_notes
+from sklearn_raacmm.app._given import Given, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
 from sklearn_raacmm.correction import arm_from_data
@@ -27,7 +28,7 @@ _COLUMNS = {
     "names": ("joint", "name", "joint name"),
     "joint_types": ("type", "joint type", "joint_type"),
 }
-_ANGLES = ("alpha", "theta_offset")
+_ANGLES, _WORDS = ("alpha", "theta_offset"), ("names", "joint_types")
 # How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
 # units are known that no header names.
 _QUARTER, _MOST_METRES = 1e-2, 10.0
@@ -157,9 +158,10 @@ def _calibrated_ur(nominal, deltas):
 def _arm_of_layout(options):
     """The arm of a layout that a single-point test shows; what no data show is asked."""
     options.table, options.points = options.from_data, None
-    table = find_rows(options, Arm.from_lengths(options.layout, *[1.0] * 4)).read()
+    measured = Given(options, Arm.from_lengths(options.layout, *[1.0] * 4))
+    table = measured.layout.read()
     print_notes(table.notes)
-    unit, lengths = table.angle_unit, known_lengths(options)
+    unit, lengths = table.angle_unit, measured.lengths()
     given = options.layout, table.angles, table.positions, lengths
     arm = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
     height = arm.forward(table.angles, angle_unit=unit)[:, 2]
@@ -189,12 +191,15 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             where[field] = names.index(words[0])
         elif field in ("a", "alpha", "d"):
             raise TableError(f"{path} has no column {field!r}; it has {table}.")
-    rows = list(table.rows([where["a"]]))
-    sizes = {field: np.abs(table.numbers(rows, [where[field]])) for field in ("a", "alpha", "d")}
-    if np.any(np.abs(sizes["alpha"] - np.pi / 2) < _QUARTER) and sizes["alpha"].max() < 2 * np.pi:
+    rows, values = list(table.rows([where["a"]])), {}
+    for field, i in where.items():
+        read = table.labels(rows, i) if field in _WORDS else table.numbers(rows, [i])[:, 0]
+        values[field] = read.tolist()
+    a, alpha, d = (np.abs(values[field]) for field in ("a", "alpha", "d"))
+    if np.any(np.abs(alpha - np.pi / 2) < _QUARTER) and alpha.max() < 2 * np.pi:
         guessed |= dict.fromkeys(_ANGLES, "rad")
     # Of axes that are nearly parallel d may be a hundred metres; a says how large the arm is.
-    if 0 < (sizes["a"].max() or sizes["d"].max()) < _MOST_METRES:
+    if 0 < (a.max() or d.max()) < _MOST_METRES:
         guessed |= dict.fromkeys(("a", "d"), "m")
     guessed = {f: unit for f, unit in guessed.items() if f in where and not table.units[where[f]]}
     if guessed:
@@ -202,16 +207,12 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
         print_notes([f"Taken by their size, for the header names no unit: {shown}."])
     if convention == "standard":
         print_notes(["Taken as the standard convention; --modified takes the other one."])
-    values = {}
-    for field, column in where.items():
-        if field in ("names", "joint_types"):
-            values[field] = table.labels(rows, column).tolist()
-        else:
-            units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
-            unit = table.units[column] or guessed.get(field) or units[0]
-            if unit not in units:
-                raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
-            values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
+    for field in where.keys() - _WORDS:
+        units, unit = ("deg", "rad") if field in _ANGLES else ("mm", "m"), table.units[where[field]]
+        unit = unit or guessed.get(field, units[0])
+        if unit not in units:
+            raise TableError(f"{path}: the column {table.header[where[field]]!r} is in {unit}.")
+        values[field] = np.multiply(_FACTORS[unit], values[field])
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
     if convention == "standard" and np.abs(values["d"]).max() > MAX_LENGTH_MM:

@@ -5,7 +5,7 @@
 
 import re
 from collections import Counter
-from itertools import islice, zip_longest
+from itertools import chain, islice, pairwise, zip_longest
 
 import numpy as np
 
@@ -43,10 +43,8 @@ def find_header(source, n_numbers):
 
     All rows are (number, cells, cells without the mark of a comment, is a comment).
     """
-    rows = []
-    for number, cells in islice(source.rows(), _LOOKED_AT):
-        bare = strip_mark(cells)
-        rows.append((number, cells, cells if bare is None else bare, bare is not None))
+    some = islice(source.rows(), _LOOKED_AT)
+    rows = [(number, cells, *strip_mark(cells)) for number, cells in some]
     # Which cells hold numbers in most rows; what stands above the first of these may hold some.
     kinds = [tuple(source.number(cell) is not None for cell in cells) for _, cells, *_ in rows]
     fitting = [kind for kind in kinds if sum(kind) >= n_numbers]
@@ -69,9 +67,10 @@ def find_header(source, n_numbers):
     ]
     row = rows[n_above - 1][0] if n_above else 0
     names = _names_of_columns(above, len(usual), n_numbers)
-    if not names:
-        names = _fields_of_joint_states(data[0][1], source, n_numbers)
-    if len(names) == len(usual) - 1 and _is_index(source, [cells[0] for _, cells in data]):
+    names = names or _fields_of_joint_states(data[0][1], source, n_numbers)
+    index = source.numbers([cells[0] for _, cells in data])
+    is_index = np.isnan(index).all() or (len(index) > 1 and np.all(np.diff(index) == 1))
+    if len(names) == len(usual) - 1 and is_index:
         names = ["", *names]  # as R and pandas write names of rows
     names += [""] * (len(usual) - len(names))
     return [name or f"column {i}" for i, name in enumerate(names, 1)], row, data, rows
@@ -81,14 +80,6 @@ def _texts(source, cells):
     """Cells of text that is no number, nor a line under a header."""
     texts = [cell for cell in cells if isinstance(cell, str) and cell.strip(":-")]
     return [cell for cell in texts if source.number(cell) is None]
-
-
-def _is_index(source, cells):
-    """Whether the cells of a column are words, or count the rows."""
-    values = [source.number(cell) for cell in cells]
-    if all(value is None for value in values):
-        return True
-    return None not in values and len(values) > 1 and bool(np.all(np.diff(values) == 1))
 
 
 def _names_of_columns(above, width, n_numbers):
@@ -121,27 +112,26 @@ def _fields_of_joint_states(cells, source, n_joints):
 
 
 def _heading(source, cells, n_numbers):
-    """Text of a row that is a heading of the rows below it: a comment, or one cell; or None."""
-    bare = strip_mark(cells)
-    filled = [str(cell) for cell in (cells if bare is None else bare) if cell != ""]
-    if source.count(cells) >= n_numbers or (bare is None and len(filled) != 1):
-        return None
-    return " ".join(filled).strip(" :=-*") or None
+    """Text of a row that is a heading of the rows below it: a comment, or one cell; or ""."""
+    bare, is_comment = strip_mark(cells)
+    filled = [str(cell) for cell in bare if cell != ""]
+    if source.count(cells) >= n_numbers or not (is_comment or len(filled) == 1):
+        return ""
+    return " ".join(filled).strip(" :=-*")
 
 
 def _are_sections(source, rows, n_numbers):
     """Whether headings such as "Position P1" stand above rows, the first ones too."""
     if source.table is not None:
         return False
-    forms: dict[str, str] = {}
     is_data = [source.count(cells) >= n_numbers for _, cells, *_ in rows]
-    for i, ((_, cells, *_), below) in enumerate(zip(rows, is_data[1:], strict=False)):
-        heading = _heading(source, cells, n_numbers)
-        if heading is not None and below:
-            if not forms and any(is_data[:i]):
-                return False
-            forms[heading] = re.sub(r"[\W_]*\d+$|\W+\w{1,2}\d*$", "", heading).lower()
-    return len(forms) > 1 and len(set(forms.values())) == 1
+    headings = [_heading(source, cells, n_numbers) for _, cells, *_ in rows[:-1]]
+    headed = [i for i, heading in enumerate(headings) if heading and is_data[i + 1]]
+    of_kind = re.compile(r"[\W_]*\d+$|\W+\w{1,2}\d*$")
+    kinds = {
+        heading: of_kind.sub("", heading).lower() for heading in map(headings.__getitem__, headed)
+    }
+    return len(kinds) > 1 and len({*kinds.values()}) == 1 and not any(is_data[: headed[0]])
 
 
 class Columns:
@@ -163,12 +153,8 @@ class Columns:
         self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
         self.units = [unit or unit_of_cells(self.cells(i)) for i, unit in enumerate(units)]
-        above = (
-            ", ".join(map(str, bare))
-            for number, _, bare, is_comment in rows
-            if number <= self.header_row or is_comment
-        )
-        self.stated = stated_units(above)
+        heads = (bare for n, _, bare, comment in rows if comment or n <= self.header_row)
+        self.stated = stated_units(", ".join(map(str, cells)) for cells in heads)
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes = [f"{self.source}; {where}."]
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
@@ -181,10 +167,10 @@ class Columns:
                 continue
             if not self.sections:
                 yield number, cells
-            elif (heading := _heading(self.source, cells, self.n_joints)) is None:
-                yield number, [*cells, label]
-            else:
+            elif heading := _heading(self.source, cells, self.n_joints):
                 label = heading
+            else:
+                yield number, [*cells, label]
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -212,24 +198,16 @@ class Columns:
         rows of means and other statistics of the columns, which a note then names.
         """
         held, begun, before, statistics = [], False, [], []
-        # Statistics are named in the first column, or in one that has other cells than numbers.
-        first = enumerate(zip_longest(*(cells for _, cells in self.first), fillvalue=""))
-        texts_at = [i for i, of in first if not i or None in map(self.source.number, of)]
-        is_statistic = _STATISTICS.fullmatch
-        for number, cells in self._headed(self.source.rows()):
-            texts = [cells[i] for i in texts_at if i < len(cells) and str(cells[i])[:1].isalpha()]
-            word = None
-            if texts != before:
-                word = next((t for t in texts if t not in before and is_statistic(t)), None)
+        for (number, cells, texts), (*_, behind) in pairwise(chain(self._texts(), [(0, [], [])])):
             # A statistic has one row: what is in two is a label.
-            if statistics and statistics[-1][2] in before and statistics[-1][2] in texts:
-                held.append(statistics.pop()[:2])
-            before = texts
-            has_number = self.has_number(cells, columns)
-            if number <= self.header_row or not (has_number or strip_mark(cells) is None):
+            words = [
+                t for t in texts if t not in before and t not in behind and _STATISTICS.fullmatch(t)
+            ]
+            before, has_number = texts, self.has_number(cells, columns)
+            if number <= self.header_row or not (has_number or not strip_mark(cells)[1]):
                 continue
-            if word is not None and has_number:
-                statistics.append((number, cells, word))
+            if words and has_number:
+                statistics.append(f"{number} ({words[0]})")
                 continue
             held.append((number, cells))
             if has_number:
@@ -240,13 +218,25 @@ class Columns:
         elif held:
             number, cells = held[0]
             text = next(str(cell) for cell in cells if cell != "")
-            self._note(f"Left out from row {number} on, where the angles end: {text!r}.")
+            self.note(f"Left out from row {number} on, where the angles end: {text!r}.")
         if statistics:
-            named = ", ".join(f"{number} ({word})" for number, _, word in statistics[:4])
-            self._note(f"Rows of statistics, left out: {len(statistics)}, such as {named}.")
+            named = ", ".join(statistics[:4])
+            self.note(f"Rows of statistics, left out: {len(statistics)}, such as {named}.")
 
-    def _note(self, text):
-        if text not in self.notes:  # the rows may be read twice
+    def _texts(self):
+        """Yield number, cells and texts of rows, those of columns that may name statistics.
+
+        Such columns are the first, and those that have other cells than numbers.
+        """
+        first = enumerate(zip_longest(*(cells for _, cells in self.first), fillvalue=""))
+        columns = [i for i, of in first if not i or None in map(self.source.number, of)]
+        for number, cells in self._headed(self.source.rows()):
+            texts = [str(cells[i]) for i in columns if i < len(cells)]
+            yield number, cells, [text for text in texts if text[:1].isalpha()]
+
+    def note(self, text):
+        """Say what was guessed, once: rows may be read twice, and in blocks."""
+        if text not in self.notes:
             self.notes.append(text)
 
     def has_number(self, cells, columns):
@@ -255,21 +245,19 @@ class Columns:
     def fields(self, field):
         """Columns of a field of messages by their numbers: position0, position[1], positions[2]."""
         pattern = re.compile(rf"(?:.*\W)?(?:joint_)?{field}s?[\[_.]?(\d+)\]?")
-        matches = [pattern.fullmatch(name) for name in self.names]
-        return {int(match[1]): i for i, match in enumerate(matches) if match}
+        matches = enumerate(map(pattern.fullmatch, self.names))
+        return {int(match[1]): i for i, match in matches if match}
 
     def are_joint_states(self, columns):
         """Whether columns are positions of sensor_msgs/JointState, which are in rad and m."""
         return {*columns} <= {*self.fields("position").values()} and bool(self.fields("name"))
 
     def _check_width(self, row):
-        number, cells = row
-        width = len(self.header)
+        (number, cells), width = row, len(self.header)
         while len(cells) > width and cells[-1] == "":
             cells.pop()
         if self.width <= len(cells) < width:  # such as a comment that few rows have
-            cells = [*cells, *[""] * (width - len(cells))]
-            row = number, cells
+            return number, [*cells, *[""] * (width - len(cells))]
         if len(cells) != width:
             fault = f"row {number} has {len(cells)} cells, the table {width} columns."
             if self.source.separator == "," and len(cells) > width:
@@ -322,10 +310,8 @@ class Columns:
 
     # -- labels -----------------------------------------------------------------------------
 
-    def find_position(self, wanted, taken, needed=True):
+    def find_position(self, taken, needed):
         """Column of the label of the position; `taken` are columns of other things."""
-        if wanted is not None:
-            return self.column(wanted, "--position")
         labels = [i for i in self.label_columns if i not in taken] or self._columns_of_text(taken)
         if len(labels) == 1:
             self.notes.append(f"Labels of the positions: {self.header[labels[0]]}.")
@@ -336,15 +322,15 @@ class Columns:
 
     def _columns_of_text(self, taken):
         """Columns that may hold labels: if there are any, those with one in every row."""
-        is_whole, varies = {}, {}
+        texts = {}
         for i, name in enumerate(self.names):
             # A label that is missing here and there is a fault, which is reported on reading.
             given = [cell for cell in self.cells(i) if cell != ""]
             is_other = i in taken or OF_TIMES.fullmatch(name) or _NO_LABEL.search(name)
             is_time = any(_TIME.search(str(cell)) for cell in given)
             if given and not (is_other or is_time or self.source.count(given)):
-                is_whole[i] = len(given) == len(self.cells(i))
-                varies[i] = len(set(given)) > 1
-        if any(varies.values()):  # what is the same in all rows tells no positions apart
-            is_whole = {i: whole for i, whole in is_whole.items() if varies[i]}
-        return [i for i, whole in is_whole.items() if whole] or list(is_whole)
+                texts[i] = given
+        # What is the same in all rows tells no positions apart.
+        texts = {i: given for i, given in texts.items() if len({*given}) > 1} or texts
+        whole = [i for i, given in texts.items() if len(given) == len(self.cells(i))]
+        return whole or list(texts)

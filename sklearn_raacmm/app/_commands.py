@@ -9,40 +9,20 @@ import webbrowser
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from timeit import repeat
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.app._correct import corrected_file
-from sklearn_raacmm.app._files import (
-    WRITTEN,
-    correction_files,
-    find_cause_columns,
-    find_rows,
-    find_unnamed_probe,
-    in_rad,
-    known_features,
-    known_lengths,
-    load_arm,
-    load_correction,
-    parse_numbers,
-    print_notes,
-    read_causes,
-    read_labels,
-)
+from sklearn_raacmm.app._files import WRITTEN, check_outputs, load_arm, load_correction, print_notes
+from sklearn_raacmm.app._given import Given, find_unnamed_probe, in_rad, parse_numbers
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.app._tables import named_first
-from sklearn_raacmm.app._terminal import (
-    Progress,
-    expected_seconds,
-    in_words,
-    print_scores,
-    print_verdict,
-    say,
-)
+from sklearn_raacmm.app._terminal import Progress, in_words, print_scores, print_verdict, say
 from sklearn_raacmm.arm import without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
@@ -52,7 +32,6 @@ from sklearn_raacmm.utils import (
     Finding,
     FindingError,
     FindingWarning,
-    check_places,
     ignored_findings,
     natural_order,
     numbered_rows,
@@ -65,25 +44,26 @@ OK, NO_HELP = 0, 3
 _STILL = 1e-3
 # Bars that a plan takes by itself, and their largest share of the reach.
 _BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
-_DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+# Learning, in products of two 1500 x 1500 matrices: so many for so many rows, with this exponent.
+# An order of time, by what `benchmarks/bench_speed.py` says of fits; no choice of a number.
+_PRODUCTS, _ROWS, _EXPONENT = 50.0, 350, 0.55
 
 
-def _without_still_slides(options, arm, layout, table):
-    """Arm, layout and table without rails under the arm that stand still in all rows."""
-    while arm.joint_types.startswith("P") and len(arm.joint_types.strip("P")) > 1:
-        at = table.angles[:, 0]
-        if np.ptp(at) > STILL_MM or any(1 in (i, j) for i, j, _ in arm.couplings):
-            break
-        name = layout.header[layout.angle_columns[0]]
-        text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"
-        text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
-        Finding("slide-still", text, joints=(1,)).report()
-        arm = without_first(arm)
-        if options.angles:
-            options.angles = options.angles[1:]
-        layout = find_rows(options, arm, needed=False)
-        table = layout.read()
-    return arm, layout, table
+def _read(arm, options):
+    """Arm, what is given of it, and its table: without rails that stand still in all rows."""
+    given = Given(options, arm, needed=False)
+    table = given.layout.read()
+    at, is_rail = table.angles[:, 0], arm.joint_types.startswith("P")
+    if not is_rail or len(arm.joint_types.strip("P")) < 2 or np.ptp(at) > STILL_MM:
+        return arm, given, table
+    if any(1 in (i, j) for i, j, _ in arm.couplings):
+        return arm, given, table
+    name = given.layout.header[given.layout.angle_columns[0]]
+    text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"
+    text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
+    Finding("slide-still", text, joints=(1,)).report()
+    options.angles = options.angles and options.angles[1:]
+    return _read(without_first(arm), options)
 
 
 def learn(options):
@@ -92,64 +72,30 @@ def learn(options):
     if options.folds is not None and options.folds < 2:
         raise TableError(f"--folds must be 2 or more, got {options.folds}.")
     check_installed("jinja2", "matplotlib", "skops")
-    out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
+    out = Path(options.out)
     if not options.dry_run:
-        check_places([out / name for name in WRITTEN], filter(None, read))
-    if not options.dry_run and (out / "correction.json").exists() and not options.force:
-        raise TableError(f"{out} holds a correction; --force replaces it.")
-    arm = load_arm(options.arm, options.base, options.tip)
-    layout = find_rows(options, arm, needed=False)
-    table = layout.read()
-    arm, layout, table = _without_still_slides(options, arm, layout, table)
+        check_outputs(options, [out / name for name in WRITTEN])
+        if (out / "correction.json").exists() and not options.force:
+            raise TableError(f"{out} holds a correction; --force replaces it.")
+    arm, given, table = _read(load_arm(options.arm, options.base, options.tip), options)
     print_notes(table.notes)
-    if layout.source.what.startswith("Fanuc") and not arm.couplings:
+    if given.layout.source.what.startswith("Fanuc") and not arm.couplings:
         arm = arm.replace(couplings=[(3, 2, 1)])
         print_notes(["A Fanuc shows joint 3 from the horizontal: its own angle is J3 + J2."])
     if options.dry_run:
-        return OK, describe_plan(table, layout, arm, options)
-    measured = table.angles, table.positions, table.points, known_lengths(options)
-    like = [load_correction(folder).model for folder in options.like or ()]
-    # Findings stand in the result, and are printed with it.
-    seconds = expected_seconds(len(table.angles))
-    show = nullcontext() if options.quiet else Progress(seconds)
-    with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
-        warnings.simplefilter("ignore", FindingWarning)
-        try:
-            result: Any = learn_correction(
-                arm,
-                *measured,
-                angle_unit=table.angle_unit,
-                cv=options.folds,
-                n_jobs=options.jobs,
-                progress=progress,
-                extra=read_causes(table, find_cause_columns(options)),
-                like=like,
-                tools=read_labels(table, options, "tool"),
-                points_sd=options.points_sd,
-                blocks=read_labels(table, options, "block"),
-                stations=read_labels(table, options, "station"),
-                accept=options.accept or (),
-                take=options.take or (),
-                features=known_features(options, table),
-                tip_diameter=options.tip_diameter,
-            )
-        except FindingError as error:
-            if error.finding.code == "another-table" and table.points is not None:
-                _say_which_axis(arm, layout)
-            raise
-    if table.positions is None:  # the places that were found and accepted, if no tracker's points
-        table = replace(table, positions=result.calibration.groups)
+        return OK, describe_plan(table, given, arm)
+    result: Any = _learnt(table, given, arm)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     # Everything is made before the first file gets its name; findings stand in the result.
     with ignored_findings():
         report = write_report(result, facts=facts, row_numbers=table.rows)
-        contents = corrected_file(layout, result, options)
+        contents = corrected_file(given, result)
         card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
+    facts |= {"probe_mm": result.arm.probe.tolist()}
     step = step_of("learn", today, facts, result.scores.measure, before, after)
-    step |= {"probe_mm": result.arm.probe.tolist()}
     taught = replace(result, facts=result.facts | {"training": card["training"]})
     # The verdict first: it is the answer, and what follows says why.
     print_verdict(result.verdict, result.helps)
@@ -162,6 +108,42 @@ def learn(options):
         webbrowser.open((out / "report.html").resolve().as_uri())
     useful = result.helps or result.scores.calibration_helps
     return OK if useful else NO_HELP, result.facts
+
+
+def _learnt(table, given, arm):
+    """The correction that is learnt from a table."""
+    options = given.options
+    like = [load_correction(folder).model for folder in options.like or ()]
+    show = nullcontext() if options.quiet else Progress(expected_seconds(len(table.angles)))
+    with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
+        # Findings stand in the result, and are printed with it.
+        warnings.simplefilter("ignore", FindingWarning)
+        try:
+            return learn_correction(
+                arm,
+                table.angles,
+                table.positions,
+                table.points,
+                given.lengths(),
+                angle_unit=table.angle_unit,
+                cv=options.folds,
+                n_jobs=options.jobs,
+                progress=progress,
+                extra=given.causes(table),
+                like=like,
+                tools=given.labels(table, "tool"),
+                points_sd=options.points_sd,
+                blocks=given.labels(table, "block"),
+                stations=given.labels(table, "station"),
+                accept=options.accept,
+                take=options.take,
+                features=given.features(table),
+                tip_diameter=options.tip_diameter,
+            )
+        except FindingError as error:
+            if error.finding.code == "another-table" and table.points is not None:
+                _say_which_axis(arm, given.layout)
+            raise
 
 
 def _say_which_axis(arm, layout):
@@ -184,23 +166,22 @@ def export(options):
         raise TableError(
             f"--name is the name of functions in C: letters, digits and '_', not {options.name!r}."
         )
-    folder = Path(options.c or ".")
-    source = folder / f"{options.name}.c"
+    source = Path(options.c or ".", f"{options.name}.c")
     sources = [source, source.with_suffix(".h")] if options.c else []
-    check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
+    check_outputs(options, [*sources, options.onnx])
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: what is written is for this one."])
     paths, fade = [], False if options.fade == "no" else options.fade
     if options.c:
-        folder.mkdir(parents=True, exist_ok=True)
+        source.parent.mkdir(parents=True, exist_ok=True)
         card = describe(saved.model)
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         kinds: Any = {"std": options.std, "fade": fade}
         paths += export_c(saved.model, source, card=card, poses="random", **kinds)
-        paths.append(folder / f"{options.name}_test.c")  # which comes with poses
+        paths.append(source.with_name(f"{options.name}_test.c"))  # which comes with poses
     if options.onnx:
         to_onnx(saved.model, options.onnx, fade=fade)
         paths.append(options.onnx)
@@ -212,12 +193,11 @@ def plan(options):
     """Plan a first single-point test for an arm, and write the sheet of it."""
     out = Path(options.out)
     check_installed("jinja2", "matplotlib")
-    check_places([out / "plan.html", out / "plan.csv"], [options.arm])
+    check_outputs(options, [out / "plan.html", out / "plan.csv"])
     arm = load_arm(options.arm)
     if options.limits:
-        given = parse_numbers(
-            "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
-        )
+        such = "LOW,HIGH of each joint"
+        given = parse_numbers("--limits", options.limits, 2 * arm.n_joints, such)
         factor = arm.by_type(np.pi / 180)[:, None]
         arm = arm.replace(limits=factor * np.reshape(given, (-1, 2)))
     if arm.limits is None:
@@ -229,16 +209,17 @@ def plan(options):
     out.mkdir(parents=True, exist_ok=True)
     seats = dict(zip(sheet.bar, ("bar left", "bar right"), strict=False))
     cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
-    units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
-    names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
+    units = {"P": "mm", "R": "deg"}
+    names = [f"q{i} [{units[kind]}]" for i, kind in enumerate(arm.joint_types, start=1)]
     degrees = arm.in_unit(sheet.angles, "deg").tolist()
     poses = [(cones[i - 1], row) for i, row in zip(sheet.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
     lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]
-    figure = draw_svg("plan", draw_volume, arm, sheet.angles, sheet.positions)
+    title = "Where the cones stand, and poses that reach them"
+    figure = draw_svg("plan", title, draw_volume, arm, sheet.angles, sheet.positions)
     shown = {"cones": list(zip(cones, sheet.positions, strict=True)), "names": names}
     page = render("_plan.html", arm=arm, bar=bar, figure=figure, plan=sheet, poses=poses, **shown)
-    write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
+    write_whole({out / "plan.csv": "\n".join([*lines, ""]), out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {sheet.minutes:.0f} minutes.")
     print("What matters is that the cones are spread over the places where you will measure.")
@@ -256,16 +237,17 @@ def demo(options):
     test = make_single_point(n_positions=10, n_poses=25, bars=[500], random_state=0)
     ((first, second, length, sd),) = test.lengths
     names = [f"cone {i + 1}" for i in range(first)] + ["bar, left", "bar, right"]
-    lines = ["simulated arm;no real measurement", ";".join(["position", *_DEMO_COLUMNS])]
+    columns = (f"q{i} [deg]" for i in range(1, 7))
+    lines = ["simulated arm;no real measurement", ";".join(["position", *columns])]
     for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
         lines.append(";".join([names[label], *(f"{v:.6f}".replace(".", ",") for v in angles)]))
     table, arm = out / "cone_test.csv", out / "nominal_arm.json"
-    write_whole({table: "\r\n".join(lines) + "\r\n"})
+    write_whole({table: "\r\n".join([*lines, ""])})
     test.nominal_arm.to_json(arm)
     print(f"A simulated single-point test: {table}")
     known = f"{names[first]}:{names[second]}:{length:.3f}:{sd}"
-    paths = "--arm", str(arm), "--out", str(out)
-    words = ["learn", str(table), *paths, "--length", known, "--serial", "simulated"]
+    words = ["learn", str(table), "--arm", str(arm), "--out", str(out)]
+    words += ["--length", known, "--serial", "simulated"]
     print(shlex.join(["raacmm", *words]))
     # Options of the user go before these.
     vars(options).update(vars(make_parser().parse_args(words)) | vars(options))
@@ -281,8 +263,9 @@ def _what_was_left_out(table, options):
     return "regions" if table.points is not None and table.positions is None else "positions"
 
 
-def describe_plan(table, layout, arm, options):
+def describe_plan(table, given, arm):
     """Print what was read and what would be done with it; the same as facts."""
+    layout, options = given.layout, given.options
     n, unit = table.angles.shape[0], table.angle_unit
     say(f"Rows: {n}, of {layout.path}.")
     names = [layout.header[i] for i in layout.angle_columns]
@@ -306,9 +289,9 @@ def describe_plan(table, layout, arm, options):
         facts["positions"] = labels
     elif table.points is None:
         say("Positions: no column names them; learning finds the rows that share a place.")
-    if lengths := known_lengths(options):
+    if lengths := given.lengths():
         say(f"Known lengths: {len(lengths)}.")
-    elif table.points is None and not any(one[2:] for one in known_features(options, table)):
+    elif table.points is None and not any(one[2:] for one in given.features(table)):
         say("Known lengths: none, so the scale of the arm is that of its table (--length).")
     say(named_first("Causes", list(table.others)) or "Causes: none (--extra names columns).")
     say(f"Arm: {arm.n_joints} joints, reach {arm.reach_mm:.0f} mm, {arm.convention} convention.")
@@ -320,3 +303,10 @@ def describe_plan(table, layout, arm, options):
     seconds = expected_seconds(n)
     say(f"That takes about {in_words(seconds)} here. Nothing was written.")
     return facts | {"folds": folds, "expected_seconds": seconds}
+
+
+def expected_seconds(n_rows):
+    """About how long learning from so many rows takes here, by a product measured now, s."""
+    some = np.random.default_rng(0).normal(size=(750, 750))
+    product = 8 * min(repeat(lambda: some @ some, number=1, repeat=2))
+    return _PRODUCTS * (n_rows / _ROWS) ** _EXPONENT * product

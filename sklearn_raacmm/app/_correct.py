@@ -11,19 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._files import (
-    correction_files,
-    find_cause_columns,
-    find_rows,
-    find_unnamed_probe,
-    in_rad,
-    load_correction,
-    print_notes,
-    read_causes,
-    read_labels,
-)
+from sklearn_raacmm.app._files import check_outputs, load_correction, print_notes
+from sklearn_raacmm.app._given import Given, find_cause_columns, find_unnamed_probe, in_rad
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
-from sklearn_raacmm.utils import check_places, numbered_rows
+from sklearn_raacmm.utils import numbered_rows
 
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
@@ -44,7 +35,7 @@ def correct(options):
     if options.out != "-":
         if Path(options.out).suffix.lower() in _NO_CSV:
             raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *correction_files(options.model)])
+        check_outputs(options, [options.out])
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
     if unknown := find_cause_columns(options).keys() - saved.causes.keys():
@@ -54,32 +45,33 @@ def correct(options):
         )
     if not options.tool and (unnamed := find_unnamed_probe(saved)):
         raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
-    layout = find_rows(options, saved.arm, labelled=False)
+    given = Given(options, saved.arm, labelled=False)
+    layout = given.layout
     print_notes(layout.notes)
     to_file = open_beside(options.out, layout.source.encoding)
     with nullcontext(options.stdout) if options.out == "-" else to_file as file:
-        n_rows, largest = write_corrected(layout, saved, options, file, options.std)
+        n_rows, largest = write_corrected(given, saved, file, options.std)
     saved.arm.check_angles(largest, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return 0, {"rows": n_rows}
 
 
-def write_corrected(layout, correction, options, file, std="all"):
+def write_corrected(given, correction, file, std="all"):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Each row is corrected by its probe; `std` says which standard deviations are written. Returns
     the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
     """
-    source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
+    layout, source, width = given.layout, given.layout.source, _N_COLUMNS[std]
+    n_rows, largest = 0, 0.0
     writer = csv.writer(file, delimiter=source.separator or " ")
-    plain = list if options.formulas else source.plain
+    plain = list if given.options.formulas else source.plain
     writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
-    columns = find_cause_columns(options)
     for block, cells in layout.blocks(BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        X = correction.inputs(in_rad(block), read_causes(block, columns))
+        X = correction.inputs(in_rad(block), given.causes(block))
         new = np.empty((len(X), width))
-        tools = read_labels(block, options, "tool")
+        tools = given.labels(block, "tool")
         for tool in [None] if tools is None else np.unique(tools):
             rows = slice(None) if tool is None else tools == tool
             with numbered_rows(block.rows[rows]):
@@ -100,11 +92,11 @@ def write_corrected(layout, correction, options, file, std="all"):
     return n_rows, largest
 
 
-def corrected_file(layout, correction, options):
+def corrected_file(given, correction):
     """Content of the corrected table, by the name of its file."""
     file = io.StringIO(newline="")
-    write_corrected(layout, correction, options, file)
-    return {"corrected.csv": file.getvalue().encode(layout.source.encoding)}
+    write_corrected(given, correction, file)
+    return {"corrected.csv": file.getvalue().encode(given.layout.source.encoding)}
 
 
 @contextmanager

@@ -62,14 +62,21 @@ def find_joints(table, wanted, joint_names, taken=(), slides=()):
 
 def _joints(table, n, joint_names, taken, slides):
     """Columns of n joints that nobody has named."""
+    states = _joint_states(table, n)
+    names = [states.get(i, "") for i in range(len(table.names))] if states else table.names
     # Of a table by hand, whose joints have no names, the order is known where a maker gives names.
-    every = [names for names in (joint_names or (), UR_NAMES) if len(names) == n]
-    tried = (_by_names_of_joints(table, names) for names in every)
-    joints = next(filter(None, tried), None) or _by_names_in_cells(table, n, every)
-    if joints:
+    every = [own for own in (joint_names or (), UR_NAMES) if len(own) == n]
+    tried = [_by_names_of_joints(table, names, own) for own in every]
+    if joints := next(filter(None, tried + _series(table, names, n) * bool(states)), None):
         shown = ", ".join(table.header[i] for i in joints)
-        table.notes.append(f"Joint angles, by the names of joints: {shown}.")
+        table.note(f"Joint angles, by the names of joints: {shown}.")
         return joints
+    if states:
+        order = ", ".join(f"{table.header[i]} ({name})" for i, name in states.items())
+        raise TableError(
+            f"{table.path} names its joints, and the arm's joints have other names or none: say "
+            f"the order from the base on with --angles. The columns are {order}."
+        )
     beside, ways = _axes_beside(table, joint_names, taken, slides)
     if ways:
         rest, order = np.setdiff1d(np.arange(n), beside), np.zeros(n, dtype=int)
@@ -77,7 +84,7 @@ def _joints(table, n, joint_names, taken, slides):
         if len(rest):
             order[rest] = _joints(table, len(rest), (), {*taken, *ways}, ())
         return order.tolist()
-    fitting, what = _series(table, n), ""
+    fitting, what = _series(table, names, n), ""
     # Columns without names are numbered by us, and such numbers mean nothing.
     unnamed = all(re.fullmatch(r"column \d+", table.header[i]) for i in range(table.width))
     if not fitting or unnamed:
@@ -100,19 +107,16 @@ def _axes_beside(table, joint_names, taken, slides):
     """
     names = [name.lower() for name in joint_names or ()]
     beside = [i for i, name in enumerate(names) if _EXTERNAL.fullmatch(name)]
-    ways = [table.names.index(names[i]) for i in beside if names[i] in table.names]
-    what = "Axes beside the robot's own"
-    if not beside or len(ways) < len(beside):
-        beside, ways, what = slides, [], "Joints that slide"
-    for pattern in (_EXTERNAL, _WAY) if beside else ():  # x may be a point's, E1 is an axis
-        if len(ways) != len(beside):
-            named = enumerate(table.names)
-            ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
-    if len(ways) != len(beside):
-        return beside, []
-    if ways:
-        table.notes.append(f"{what}: {', '.join(table.header[i] for i in ways)}.")
-    return beside, ways
+    own = [table.names.index(names[i]) for i in beside if names[i] in table.names]
+    tried = [(beside, own, "Axes beside the robot's own")]
+    for pattern in (_EXTERNAL, _WAY):  # x may be a point's, E1 is an axis
+        named = [i for i, name in enumerate(table.names) if pattern.fullmatch(name)]
+        tried.append((slides, [i for i in named if i not in taken], "Joints that slide"))
+    for joints, ways, what in tried:
+        if 0 < len(joints) == len(ways):
+            table.note(f"{what}: {', '.join(table.header[i] for i in ways)}.")
+            return joints, ways
+    return [], []
 
 
 def _only_numbers(table, n, taken):
@@ -148,25 +152,31 @@ def columns_of_numbers(table, taken=()):
 
 def _pose_columns(table):
     """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
-    place = {name: i for i, name in enumerate(table.names)}
-    columns = []
-    for name in table.names:
-        for k in (k for k, letter in enumerate(name) if letter == "x"):
-            x, y, z, w = (name[:k] + letter + name[k + 1 :] for letter in "xyzw")
-            if y in place and z in place:
-                columns += [place[one] for one in (x, y, z, w) if one in place]
+    columns = {i for _, axes in coordinates(table.names) for i in axes}
+    last = {re.split(r"[\W_]+", name)[-1]: i for i, name in enumerate(table.names)}
     for group in _ORIENTATIONS if columns else ():
-        last = {re.split(r"[\W_]+", name)[-1]: i for name, i in place.items()}
-        if last.keys() >= set(group):
-            columns += [last[one] for one in group]
-    return sorted(set(columns))
+        if last.keys() >= {*group}:
+            columns |= {last[one] for one in group}
+    return sorted(columns)
+
+
+def coordinates(names):
+    """Yield columns of x, y and z, whose names differ in that only, and the letter before x.
+
+    A fourth column may be of w.
+    """
+    for name in dict.fromkeys(names):
+        for k in (k for k, letter in enumerate(name) if letter == "x"):
+            axes = [name[:k] + letter + name[k + 1 :] for letter in "xyzw"]
+            if {*axes[:3]} <= {*names}:
+                yield name[k - 1 : k], [names.index(axis) for axis in axes if axis in names]
 
 
 def external_axes(table, used):
     """Columns by name of external axes that move and are not used; a note tells of each."""
     column_of: dict[str, int] = {}
-    for i in (i for i, name in enumerate(table.names) if i not in used):
-        if not _EXTERNAL.fullmatch(table.names[i]):
+    for i, name in enumerate(table.names):
+        if i in used or not _EXTERNAL.fullmatch(name):
             continue
         values = table.source.numbers(table.cells(i))
         if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
@@ -179,47 +189,33 @@ def external_axes(table, used):
     return column_of
 
 
-def _by_names_of_joints(table, joint_names):
-    """One column for each joint whose name holds that of the joint."""
+def _by_names_of_joints(table, names, joint_names):
+    """One column for each joint, whose name holds that of the joint; None of others."""
     columns = []
     for joint in joint_names:
         word = re.escape(joint.lower().removesuffix("_joint"))
         pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
-        fitting = [i for i, name in enumerate(table.names) if pattern.search(name)]
-        fitting = _measured_angles(table, fitting)
-        if len(fitting) != 1:
-            return None
-        columns += fitting
-    return columns if len(set(columns)) == len(joint_names) else None
+        fitting = [i for i, name in enumerate(names) if pattern.search(name)]
+        columns.append(_measured_angles(table, fitting))
+    found = {one[0] for one in columns if len(one) == 1}
+    return [column for (column,) in columns] if len(found) == len(joint_names) else None
 
 
-def _by_names_in_cells(table, n, every):
-    """Positions of JointState messages, whose names stand in cells of each row."""
+def _joint_states(table, n):
+    """Columns of positions of JointState messages, with the joints' names in cells of each row."""
     names, positions = table.fields("name"), table.fields("position")
-    names = {k: table.cells(i) for k, i in names.items() if k in positions}
-    numbers = table.source.count(chain(*names.values()))
-    if len(names) < n or numbers:
-        return None
-    if any(len(set(cells)) != 1 for cells in names.values()):
+    cells = {positions[k]: table.cells(i) for k, i in names.items() if k in positions}
+    if len(cells) < n or table.source.count(chain(*cells.values())):
+        return {}
+    if any(len(set(own)) != 1 for own in cells.values()):
         raise TableError(f"{table.path}: the names of the joints differ from row to row.")
-    in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
-    for joint_names in every:
-        if joint_names and in_file.keys() >= {name.lower() for name in joint_names}:
-            return [in_file[name.lower()] for name in joint_names]
-    numbered = [(re.findall(r"\d+", name), i) for name, i in in_file.items()]
-    if len(in_file) == n and all(digits for digits, _ in numbered):
-        return [i for _, i in sorted(numbered, key=lambda one: int(one[0][0]))]
-    order = ", ".join(f"{table.header[i]} ({name})" for name, i in in_file.items())
-    raise TableError(
-        f"{table.path} names its joints, and the arm's joints have other names or none: say the "
-        f"order from the base on with --angles. The columns are {order}."
-    )
+    return {i: str(own[0]).lower() for i, own in cells.items()}
 
 
-def _series(table, n):
+def _series(table, names, n):
     """Series of n columns numbered from 0 or 1, such as q1 to q6, that may be the angles."""
     series: dict[tuple[str, str], dict[int, int]] = {}
-    for i, name in enumerate(table.names):
+    for i, name in enumerate(names):
         match = re.fullmatch(r"(.*?)[\s_.\[-]*(\d+)(\D*)", name)
         if match:
             series.setdefault((match[1], match[3]), {})[int(match[2])] = i

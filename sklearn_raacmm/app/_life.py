@@ -16,22 +16,13 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.app._correct import corrected_file
-from sklearn_raacmm.app._files import (
-    WRITTEN,
-    correction_files,
-    find_rows,
-    find_unnamed_probe,
-    in_rad,
-    known_lengths,
-    load_correction,
-    parse_numbers,
-    print_notes,
-)
+from sklearn_raacmm.app._files import WRITTEN, check_outputs, load_correction, print_notes
+from sklearn_raacmm.app._given import Given, find_unnamed_probe, in_rad, parse_numbers
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import check_places, digest_of, ignored_findings, natural_order
+from sklearn_raacmm.utils import digest_of, ignored_findings, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -68,8 +59,8 @@ _MOST_DOUBTS = 3
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
-    layout, today, measured = _read_today(options, saved.arm)
-    new = saved.register(*measured, accept=options.accept or ())
+    given, today, measured = _read_today(options, saved.arm)
+    new = saved.register(*measured, accept=options.accept)
     now = new.model.predict(new.inputs(today.angles))
     before, left, usual, facts = _compare("Registered", saved, new, today, 0, now)
     print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
@@ -85,7 +76,7 @@ def register(options):
         _print_lack(saved, new)
     _print_doubts(new, today.angles, today.positions)
     if holds or options.out.resolve() != options.model.resolve():
-        _save(new, options, facts, today, layout)
+        _save(new, options, facts, today, given)
     else:
         print("Nothing is written: --out names another folder for this correction.")
     return (OK if holds else CHANGED), facts
@@ -94,11 +85,10 @@ def register(options):
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved = _open_correction(options)
-    layout, today, measured = _read_today(options, saved.arm)
+    given, today, measured = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):  # they count once
         raise TableError(used)
-    day = date.today().isoformat()
-    new = saved.update(*measured, date=day, accept=options.accept or ())
+    new = saved.update(*measured, date=date.today().isoformat(), accept=options.accept)
     X = saved.inputs(today.angles)
     was, now = saved.model.with_arm(new.arm).predict(X), new.model.predict(X)
     before, after, _, facts = _compare("Updated", saved, new, today, was, now)
@@ -106,10 +96,10 @@ def update(options):
     if len(updates) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
         return CHANGED, facts
-    if not updates[-1]["tau"]:
+    tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
+    if not tau:
         noise = updates[-1]["noise_sd_mm"]
         print(f"These poses show noise of {noise:.3g} mm a coordinate, and no change beside it.")
-    tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
     most = ", ".join(parts[:4])
     usual = "of the size that it usually has"
@@ -125,7 +115,7 @@ def update(options):
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
-    _save(new, options, facts, today, layout)
+    _save(new, options, facts, today, given)
     return OK, facts
 
 
@@ -174,8 +164,7 @@ def _rms(vectors):
 
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
-    read = [options.table, *correction_files(options.model)]
-    check_places(filter(None, [options.record]), read)
+    check_outputs(options, [options.record])
     saved = load_correction(options.model)
     has_causes = hasattr(saved.model, "linear_model_")
     by_spread = saved.facts["measure"] == "2S" and not options.points
@@ -195,19 +184,15 @@ def check(options):
     result: Any = None  # of the model's check
     if has_causes:
         facts, result, advice = _check_model(saved, today, measured, rate, options)
-    holds = not advice
     if by_spread:
         # Rows that slipped are left out where each position keeps two or more.
         kept = np.delete(np.arange(len(today.angles)), list(result.slipped if result else ()))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        scatter = _check_spread(saved, today, rate, advice)
-        facts, holds = facts | scatter, holds and scatter["after_mm"] < scatter["before_mm"]
-        holds = holds and scatter["after_mm"] <= scatter["expected_below_mm"]
+        facts |= _check_spread(saved, today, rate, advice)
     else:
         facts |= _check_distances(saved, today, measured, options) if options.points else {}
-        facts["said"], holds = _said_of(result, today, facts, advice)
-    facts |= {"holds": holds}
+        facts |= _answer(result, today, facts, advice)
     if options.record:
         try:
             names = (*_SIDES, "expected_below_mm", "holds", "said")
@@ -229,13 +214,13 @@ def check(options):
         save_step(saved, options.model, step, today, _page_of(options), contents)
     except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {options.model}: {error}"])
-    return (OK if holds else CHANGED), facts
+    return (OK if facts["holds"] else CHANGED), facts
 
 
 def _check_model(saved, today, measured, rate, options):
     """Facts of what the model sees, its check, and what to do about a change; else ""."""
-    accept, new_base = options.accept or (), options.new_base
-    result = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
+    given = {"new_base": options.new_base, "accept": options.accept}
+    result = saved.check(*measured, false_alarm_rate=rate, **given)
     changed = bool(result.matters and not result.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
@@ -257,7 +242,7 @@ def _check_model(saved, today, measured, rate, options):
 def _check_distances(saved, today, measured, options):
     """Facts: mean distances from a tracker's points, mm, without the correction and with it."""
     if saved.base is None or options.new_base:
-        saved = saved.register(*measured, free=(), accept=options.accept or ())
+        saved = saved.register(*measured, free=(), accept=options.accept)
     off = saved.residuals(today.angles, today.points)
     with ignored_findings():  # of poses where little is known: the check has said so
         correction = saved.model.predict(saved.inputs(today.angles))
@@ -265,20 +250,21 @@ def _check_distances(saved, today, measured, options):
     return dict(zip(_SIDES, mean, strict=True))
 
 
-def _said_of(result, today, facts, advice):
-    """The answer of a check by a model alone, in sentences, and whether the correction holds."""
+def _answer(result, today, facts, advice):
+    """Facts of a check by a model alone: its answer in sentences, and whether it holds."""
     change = _describe_poses(today)
     if _SIDES[0] in facts:
         change += ", mean distance {:.3f} -> {:.3f} mm".format(*map(facts.get, _SIDES))
     change += f"; the model expects {facts['usual_mm']:.3f} mm (rms) at these poses"
-    if advice:
-        return f"It does not hold: {change}. {advice}", False
     why = [finding.text for finding in result.findings if finding.code == "little-known"]
     if facts.get("after_mm", 0.0) > _MUCH_FARTHER * facts["usual_mm"]:
         why.append("The points are farther off than the model can tell.")
-    if why:
-        return f"Whether it holds does not show: {change}. {why[0]} {_MEASURE_OTHERS}", False
-    return f"It holds: {change}.", True
+    said = f"It holds: {change}."
+    if advice:
+        said = f"It does not hold: {change}. {advice}"
+    elif why:
+        said = f"Whether it holds does not show: {change}. {why[0]} {_MEASURE_OTHERS}"
+    return {"said": said, "holds": not (advice or why)}
 
 
 def _check_spread(saved, today, rate, advice):
@@ -310,7 +296,8 @@ def _check_spread(saved, today, rate, advice):
     else:
         verdict = "It still helps, but something has changed" if advice else "It holds"
         said = f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip()
-    return facts | {"changed": bool(advice), "said": said}
+    holds = now < was and now <= expected and not advice
+    return facts | {"changed": bool(advice), "said": said, "holds": holds}
 
 
 def _why_so_far(saved, today, limit):
@@ -332,9 +319,8 @@ def highest_mean(learnt, n_poses, rate):
     one of n poses has a variance of 1 / (6 (n - 1)) for that few, which new positions have too.
     """
     logs = np.log(np.maximum(learnt["after"], _LEAST_2S_MM))
-    of_few = [
-        np.mean(1 / np.maximum(np.asarray(n) - 1.0, 1)) / 6 for n in (learnt["n_points"], n_poses)
-    ]
+    counts = (np.asarray(n, dtype=float) for n in (learnt["n_points"], n_poses))
+    of_few = [np.mean(1 / np.maximum(n - 1, 1)) / 6 for n in counts]
     m, n, variance = len(logs), len(n_poses), np.var(logs, ddof=1)
     of_new = variance + max(of_few[1] - of_few[0], 0.0)
     spread = stats.t.ppf(1 - rate, m - 1) * np.sqrt(variance / m + of_new / n)
@@ -348,11 +334,11 @@ def _wider_than_learnt(saved, today):
     The ratio of the standard deviations within a position that the model states at these poses: an
     error of a joint moves the end of a longer probe by more.
     """
-    steps = [step for step in saved.facts.get("history", []) if step["what"] == "learn"]
-    learnt = steps[-1].get("probe_mm") if steps else None
-    if learnt is None or not hasattr(saved.model, "with_arm"):
+    steps = saved.facts.get("history", [])
+    probes = [one["probe_mm"] for one in steps if one["what"] == "learn" and "probe_mm" in one]
+    if not probes or not hasattr(saved.model, "with_arm"):
         return 1.0
-    as_learnt = saved.arm.replace(probe=learnt)
+    as_learnt = saved.arm.replace(probe=probes[0])
     then = replace(saved, arm=as_learnt, model=saved.model.with_arm(as_learnt))
     now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in (saved, then))
     return now / then
@@ -360,27 +346,25 @@ def _wider_than_learnt(saved, today):
 
 def _open_correction(options):
     """The saved correction, where its folder can be written."""
-    read = [getattr(options, "table", None)]
-    read += correction_files(options.model) if options.out else []
-    options.out = Path(options.out or options.model)
-    check_places([options.out / name for name in WRITTEN], filter(None, read))
+    out = Path(options.out or options.model)
+    check_outputs(options, [out / name for name in WRITTEN])
+    options.out = out
     check_installed("jinja2")
     return load_correction(options.model)
 
 
 def _read_today(options, arm):
-    """What was measured today: where it stands, a table in rad, and what a correction takes."""
-    by_tracker = bool(options.points)
-    layout = find_rows(options, arm, labelled=not by_tracker)
-    table = layout.read()
+    """What is given of today, its table in rad, and what a correction takes of both."""
+    given = Given(options, arm, labelled=not options.points)
+    table = given.layout.read()
     print_notes(table.notes)
-    lengths = known_lengths(options)
-    if by_tracker and lengths:
+    lengths = given.lengths()
+    if options.points and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     # Warns of what seems another unit.
     arm.check_angles(table.angles, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
-    return layout, today, (today.angles, today.positions, today.points, lengths)
+    return given, today, (today.angles, today.positions, today.points, lengths)
 
 
 def _describe_poses(today):
@@ -452,8 +436,7 @@ def save_step(correction, out, step, today, page="", contents=()):
         step["model"] = card["fingerprint"]
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
-    known = {"findings": findings}
+    known: Any = {"findings": [f"{one.weight}: {one}" for one in correction.findings]}
     known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}
     card |= {name: fact for name, fact in known.items() if fact}
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
@@ -477,9 +460,9 @@ def _kept_points(path, step):
     return {next(name for name in names if not path.with_name(name).exists()): path.read_bytes()}
 
 
-def _save(correction, options, step, today=None, layout=None):
+def _save(correction, options, step, today=None, given=None):
     """Write the folder with what was done, and with the points of today where there are any."""
-    contents = {} if layout is None else corrected_file(layout, correction, options)
+    contents = {} if given is None else corrected_file(given, correction)
     if options.out == options.model:
         _refuse_other_writers(correction, options.out)
     written = save_step(correction, options.out, step, today, _page_of(options), contents)
@@ -499,14 +482,15 @@ def _refuse_other_writers(saved, folder):
         raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
 
 
-def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan):
-    """What was done, with which poses, and what it was worth, as plain values."""
+def step_of(what, today, facts, *worth):
+    """What was done, with which poses, and what it was worth, as plain values.
+
+    That is a measure, and its value before and after in mm.
+    """
     step = {"what": what}
     if today is not None:
         step |= {"n_poses": len(today.angles), "poses": digest_of("".join(digests_of(today)))}
-    if measure is not None:
-        step |= {"measure": measure, "before_mm": float(before_mm), "after_mm": float(after_mm)}
-    return step | facts
+    return step | dict(zip(("measure", *_SIDES), worth, strict=False)) | facts
 
 
 def digests_of(today):
@@ -523,7 +507,7 @@ def _used_poses(saved, today):
     """In one sentence, that poses have had a part in this correction already; else empty."""
     mine = digests_of(today)
     for step in saved.facts.get("history", []):
-        known = step.get("rows", "") if step["what"] in _LEARNT else ""
+        known = step.get("rows", "")
         used = len({known[i : i + 8] for i in range(0, len(known), 8)}.intersection(mine))
         if used >= _REPEATED:
             return (

@@ -20,6 +20,7 @@ import warnings
 from pathlib import Path
 
 from sklearn_raacmm.app._options import make_parser, with_config
+from sklearn_raacmm.app._terminal import say
 
 BAD_INPUT, INTERRUPTED = 2, 130
 # Words whose `--out` is a file; that of all others is a folder.
@@ -70,17 +71,11 @@ def main(arguments: list[str] | None = None) -> int:
             text = f"{name}: {error.strerror.lower()}."
         if options.json:
             print(json.dumps({"exit_code": BAD_INPUT, "error": text}, ensure_ascii=False))
-        _say(f"raacmm {options.word}: {text}")
+        say(f"raacmm {options.word}: {text}", sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("raacmm: interrupted", file=sys.stderr)
         return INTERRUPTED
-
-
-def _say(text):
-    from sklearn_raacmm.app._terminal import say  # here: help is there at once without NumPy
-
-    say(text, sys.stderr)
 
 
 def _run(options):
@@ -99,13 +94,12 @@ def _run(options):
             options.table = str(Path(folder, "standard-input"))
             with open(options.table, "wb") as file:
                 shutil.copyfileobj(sys.stdin.buffer, file)
-        if options.quiet:
-            stack.enter_context(contextlib.redirect_stdout(None))
-        elif options.json or getattr(options, "out", None) == "-":
-            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        if options.quiet or options.json or getattr(options, "out", None) == "-":
+            aside = None if options.quiet else sys.stderr
+            stack.enter_context(contextlib.redirect_stdout(aside))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore" if options.quiet else "always", UserWarning)
-        warnings.showwarning = lambda message, *_: _say(f"note: {message}")
+        warnings.showwarning = lambda message, *_: say(f"note: {message}", sys.stderr)
         code, facts = getattr(module, options.word)(options)
     if options.json:
         text = json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False)

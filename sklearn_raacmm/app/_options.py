@@ -114,6 +114,10 @@ def _number(metavar, text, kind: Callable[[str], object] = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 
+def _many(metavar, text):
+    return _value(metavar, text, action="append", default=[])
+
+
 def _choice(choices, text, default=None, **more):
     return {"choices": choices, "help": text, "default": default, **more}
 
@@ -149,18 +153,16 @@ OPTIONS: dict[str, dict[str, Any]] = {
     ),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
     "--points-sd": _number("MM", "sd of one coordinate of the tracker's points", default=0.0),
-    "--length": _value(
+    "--length": _many(
         "FROM:TO:MM:SD[@DEGC]",
         "a known distance in mm, its sd in mm, and the temperature of the bar",
-        action="append",
     ),
     "--lengths": _value("CSV", "file of known lengths, with the columns from, to, mm, sd in mm"),
     "--places": _value("CSV", "file of a plate's known points: position, x, y, z, sd in mm"),
     "--length-sd": _number("MM", "sd of the known lengths that state none"),
-    "--feature": _value(
+    "--feature": _many(
         "LABEL:KIND[:SIZE:SD]",
         "positions that are touches of a plane or sphere, perhaps of known diameter in mm",
-        action="append",
     ),
     "--kind": _value("COLUMN", "column that says what was touched: plane, sphere or cone"),
     "--tip-diameter": _number("MM", "diameter of the probe's own ball, for --feature", default=0.0),
@@ -186,20 +188,16 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--dry-run": _flag("say what was read and what would be done, and stop"),
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
-    "--take": _value(
-        "CODE",
-        "change the arm as learn proposes, such as reversed-2-4 or coupled-2-3",
-        action="append",
+    "--take": _many(
+        "CODE", "change the arm as learn proposes, such as reversed-2-4 or coupled-2-3"
     ),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "name of the operator, for the report"),
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": _value("CSV", "file to which a line on this check is appended"),
-    "--accept": _value(
-        "CODE",
-        "go on in spite of the finding of this code, such as corrected-already",
-        action="append",
+    "--accept": _many(
+        "CODE", "go on in spite of the finding of this code, such as corrected-already"
     ),
     "move --probe": _value(
         "X,Y,Z",
@@ -266,12 +264,12 @@ def with_config(words):
     over. Paths are those of the file's folder.
     """
     tables = [Path(word) for word in words[1:] if not word.startswith("-") and Path(word).is_file()]
-    path = tables[0].parent / _CONFIG if tables else Path(_CONFIG)
-    if not (words and words[0] in WORDS and tables and path.is_file()):
+    if not tables or words[0] not in WORDS or not (tables[0].parent / _CONFIG).is_file():
         return words
+    path = tables[0].parent / _CONFIG
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # no TOML, or no UTF-8
         raise ValueError(f"{path}: {error}") from None
     more: list[str] = []
     for name, value in given.items():
@@ -284,16 +282,15 @@ def with_config(words):
             continue
         kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
         values = list(map(str, value if isinstance(value, list) else [value]))
-        beside = [path.parent / one for one in values]
-        values = [str(b) if b.is_file() else one for b, one in zip(beside, values, strict=True)]
+        is_place = Path.exists if kind.get("type") is Path else Path.is_file  # folders, too
+        values = [str(at) if is_place(at := path.parent / one) else one for one in values]
         if kind.get("action") == "store_true":
             more += [option] * bool(value)
-        elif kind.get("action") == "append":
-            more += [f"{option}={one}" for one in values]
-        elif kind.get("nargs") == "+":
+        elif kind.get("nargs"):
             more += [option, *values]
         else:
-            more.append(f"{option}={','.join(values)}")
+            several = values if kind.get("action") == "append" else [",".join(values)]
+            more += [f"{option}={one}" for one in several]
     return [words[0], *more, *words[1:]]
 
 

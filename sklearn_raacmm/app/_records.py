@@ -22,6 +22,7 @@ from xml.etree import ElementTree
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 _IN_LIST = rf"(?:^|,)\s*{_VALUE}"
+_OF_AXIS = rf'[Aj]\d(?:\s+|="){_VALUE}'
 # The name of a record, where it has one. Bounded, so that no long cell takes minutes.
 _NAMED = r"(?:\b(\w{1,80})\s?=\s?)?"
 # The axes of a jointtarget, and a point of a Fanuc with its number and its name.
@@ -31,14 +32,9 @@ _FANUC_POINT = r'P\[(\d+(?:\s*:\s*"[^"]*")?)\]'
 # faster than a pattern, a record with its name and its body, and the joints in the body.
 _PROGRAMS = (
     # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
-    (
-        "KUKA KRL",
-        ("{", "A1"),
-        _NAMED + r"\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
-        rf"A\d\s+{_VALUE}",
-    ),
+    ("KUKA KRL", ("{", "A1"), _NAMED + r"\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}", _OF_AXIS),
     # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
-    ("KUKA RSI", ("<AIPos",), r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
+    ("KUKA RSI", ("<AIPos",), r"<(AIPos)\s([^>]*)>", _OF_AXIS),
     # ABB, RAPID data types: jointtarget is [robax, extax].
     # Without a name it is told from other lists by the external axes that are not there, 9E9.
     ("ABB RAPID", ("[[", ":="), rf"\b(\w{{1,80}})\s?:=\s?\[{_ROBAX}\s?,\s?\[[^][]*\]\]", _IN_LIST),
@@ -48,12 +44,7 @@ _PROGRAMS = (
     # Doosan, programming manual: posj(J1, ..., J6).
     ("Doosan posj", ("posj",), _NAMED + r"\bposj\s?\(([^()]*)\)", _VALUE),
     # Staubli VAL3: data of the type jointRx in a .dtx file.
-    (
-        "Staubli VAL3",
-        ("<Value",),
-        r'<Value key="(\w{1,80})"\s([^<>]*\bj1=[^<>]*)>',
-        rf'j\d="{_VALUE}"',
-    ),
+    ("Staubli VAL3", ("<Value",), r'<Value key="(\w{1,80})"\s([^<>]*\bj1=[^<>]*)>', _OF_AXIS),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
     ("Efort", (":{",), _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
     # Universal Robots, URScript manual: movej takes joint angles in rad, or a pose behind a p.
@@ -258,9 +249,8 @@ def _json(head, read, n_numbers):
     text = read()
     lines = [line for line in text.splitlines() if line.strip()]
     by_line = all(line.lstrip().startswith("{") for line in lines)
-    for what, parse in (
-        ("JSON", json.loads), ("TOML", tomllib.loads), ("Python", ast.literal_eval),
-    ):  # fmt: skip
+    parsers = {"JSON": json.loads, "TOML": tomllib.loads, "Python": ast.literal_eval}
+    for what, parse in parsers.items():
         for parts in ([text], *[lines] * by_line):
             with suppress(ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
                 parsed = list(map(parse, parts))
@@ -273,7 +263,7 @@ def _xml(head, read, n_numbers):
     if not head.lstrip().startswith("<") or "<!ENTITY" in (text := read()):
         return None
     try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.DOTALL))
+        root = ElementTree.fromstring(text.strip())
     except ElementTree.ParseError:
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
@@ -282,18 +272,16 @@ def _xml(head, read, n_numbers):
     for one in root.iter():
         simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
         by_tag.setdefault(one.tag, []).append(one.attrib | simple)
-    records = (_of_records("XML", each, n_numbers) for each in by_tag.values())
-    return max(
-        filter(None, records), key=lambda one: (len(one[2]), len(one[1] or ())), default=None
-    )
+    found = filter(None, (_of_records("XML", each, n_numbers) for each in by_tag.values()))
+    return max(found, key=lambda one: (len(one[2]), len(one[1] or ())), default=None)
 
 
 def _yaml(head, read, n_numbers):
     """Records of YAML: lists of them, or messages as `ros2 topic echo` writes them."""
     lines = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
     lines = [line for line in lines if not _COMMENT.match(line) or line.startswith("---")]
-    plain = sum(bool(_KEY.match(line)) for line in lines[:5])
-    if not lines or not (plain or lines[0].startswith("---")) or find_spec("yaml") is None:
+    begins = any(map(_KEY.match, lines[:5])) or "".join(lines[:1]).startswith("---")
+    if not begins or find_spec("yaml") is None:
         return None
     import yaml
 
@@ -355,8 +343,7 @@ def _records(value, n_numbers):
         if not of_scalars and len(shapes) == 1:  # a label, and its rows
             return [{"position": key, "joint": x} for key, one in value.items() for x in one]
         if length > 1 and all(len(one) == length for one in parts):  # columns
-            keys = list(value)
-            return [dict(zip(keys, cells, strict=True)) for cells in zip(*parts, strict=True)]
+            return [dict(zip(value, cells, strict=True)) for cells in zip(*parts, strict=True)]
     dicts = all(isinstance(one, dict) for one in parts)
     if dicts and all(str(key).isdigit() for one in parts for key in one):  # columns of pandas
         keys = list(dict.fromkeys(key for one in parts for key in one))

@@ -32,22 +32,15 @@ _MOST_HARMONICS = 12
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
 _AFTER = "#0072B2"  # as the displays have it
-_INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
-_EMPTY = ("axes.facecolor", "figure.facecolor", "legend.facecolor", "legend.edgecolor")
-_STYLE: Any = {
-    **dict.fromkeys(_INKED, _INK),
-    **dict.fromkeys(_EMPTY, "none"),
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
+_STYLE: Any = {"svg.fonttype": "none", "font.size": 9}
+_STYLE |= dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), _INK)
+_STYLE |= dict.fromkeys(("xtick.color", "ytick.color"), _INK)
+_STYLE |= dict.fromkeys(("axes.facecolor", "figure.facecolor"), "none")
+_STYLE |= dict.fromkeys(("legend.facecolor", "legend.edgecolor"), "none")
+_STYLE |= dict.fromkeys(("axes.spines.top", "axes.spines.right"), False)
 # Points drawn at most in a cloud: more make the file large and the cloud no clearer.
 _MOST_POINTS = 600
 _MOST_ARMS = 12
-_TITLES = {
-    "positions": "Deviation of each position, before and after",
-    "volume": "Points of the probe and poses of the arm",
-    "plan": "Where the cones stand, and poses that reach them",
-}
 
 
 def write_report(
@@ -104,8 +97,9 @@ def write_report(
         sds = HarmonicDisplay(harmonics=waves, n_joints=n_joints).amplitude_sd
         harmonics = list(zip(waves, sds, strict=True))[:_MOST_HARMONICS]
     off = np.linalg.norm(np.nan_to_num(scores.left_after), axis=1)
-    row = int(off.argmax())
-    number = row if row_numbers is None else np.asarray(row_numbers)[row]
+    numbers = np.arange(len(off)) if row_numbers is None else np.asarray(row_numbers)
+    deviations = "Deviation of each position, before and after"
+    cloud = "Points of the probe and poses of the arm"
     squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
@@ -121,12 +115,12 @@ def write_report(
         },
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
         harmonics=harmonics,
-        outliers=list_outliers(learnt, row_numbers),
-        farthest=(number, off[row]),
+        outliers=list_outliers(learnt, numbers),
+        farthest=(numbers[off.argmax()], off.max()),
         row_numbers=row_numbers,
         figures={
-            "positions": draw_svg("positions", draw_positions, scores),
-            "volume": draw_svg("volume", draw_volume, learnt.arm, learnt.angles),
+            "positions": draw_svg("positions", deviations, draw_positions, scores),
+            "volume": draw_svg("volume", cloud, draw_volume, learnt.arm, learnt.angles),
         },
         most_rows=_MOST_ROWS,
     )
@@ -173,41 +167,37 @@ def with_history(page, history):
 def _facts(result):
     """What was measured, with what, and the fingerprints of both."""
     card = describe(result.model, result.inputs(result.angles), groups=result.positions)
-    rows, model = card["training"], card["fingerprint"]
+    rows, model = card["training"], (card["fingerprint"] or "")[:16]
     return {
         "arm": result.arm.name or "without a name",
         "date": datetime.date.today().isoformat(),
         "rows": rows["rows"],
         "positions": rows["positions"],
         "fingerprint of the data": rows["data_fingerprint"][:16],
-        "fingerprint of the model as learnt": model[:16]
-        if model
-        else "none for a model of this kind",
+        "fingerprint of the model as learnt": model or "none for a model of this kind",
         "model": type(result.model).__name__,
         "versions": f"{card['written_by']}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Python {platform.python_version()}",
     }
 
 
-def list_outliers(result, row_numbers=None):
+def list_outliers(result, row_numbers):
     """Number of the row, position and distance in mm of each outlier."""
-    outliers = result.outliers
-    rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
-    return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
+    row, position, distance = (result.outliers[name] for name in result.outliers.dtype.names)
+    return list(zip(row_numbers[row].tolist(), position, distance, strict=True))
 
 
 # -- figures ---------------------------------------------------------------------------------------
 
 
-def draw_svg(name, draw, *what):
-    """SVG element of what `draw` makes of a figure; its names and its title come from `name`."""
+def draw_svg(name, title, draw, *what):
+    """SVG element of what `draw` makes of a figure; its names come from `name`."""
     import matplotlib
     from matplotlib.figure import Figure
 
     file = io.StringIO()
-    plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
-    about = {"Date": None, "Creator": None, "Title": _TITLES[name]}
-    with matplotlib.rc_context(plain | _STYLE):
+    about = {"Date": None, "Creator": None, "Title": title}
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": name}):
         figure = Figure(layout="constrained")
         draw(figure, *what)
         figure.savefig(file, format="svg", metadata=about)

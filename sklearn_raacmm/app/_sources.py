@@ -34,7 +34,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _FLOAT = str.maketrans(",dD", ".ee")
 # A number with a unit in its cell.
 _WITH_UNIT = re.compile(
-    rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
+    rf"({_NUMBER.pattern})\s*(?P<unit>deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
 )
 # An angle in degrees, minutes and seconds, and a number whose thousands are parted.
 _SEXAGESIMAL = re.compile(r"""([+-]?)(\d+)\s?°\s?(\d+)\s?'\s?(\d+(?:[.,]\d*)?)\s?"?""")
@@ -42,18 +42,12 @@ _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?!\1)[.,]\d+
 _FORMULA = re.compile(r"[=+\-@].")
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
+_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 # Encodings of other scripts, each with signs of headers: degree, axis, joint, angle, place, point.
-_SCRIPTS = (
-    ("gb18030", "度轴关节角位置点坐标序号"),
-    ("cp932", "度軸関節角位置点座標番号"),
-    ("big5", "度軸關節角位置點座標序號"),
-    ("cp949", "도축관절각위치점좌표번호"),
-)
+_SCRIPTS = {
+    "gb18030": "度轴关节角位置点坐标序号", "cp932": "度軸関節角位置点座標番号",
+    "big5": "度軸關節角位置點座標序號", "cp949": "도축관절각위치점좌표번호",
+}  # fmt: skip
 # Hard blanks, minus signs and primes are those of word processors, wide brackets of Asian ones.
 _PLAIN = str.maketrans("\xa0\u2212\uff08\uff09\u2019\u2032\u2033", " -()''\"")
 # A line under the header of a table in Markdown, whose rows may begin and end with bars.
@@ -61,9 +55,8 @@ _RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
 _BARS = re.compile(r"^\s*\|(.*)\|\s*$")
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
-# A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
-# of which 20 columns reach in the last row of a spreadsheet.
-_MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
+# Cells of a table: a choice, which 20 columns reach in the last row of a spreadsheet.
+_MOST_CELLS = 20_000_000
 # Rows or lines of a table that are in memory at a time: some MB.
 BLOCK_ROWS = 8192
 # Columns for each row of a table that has a line for each joint, at least.
@@ -117,9 +110,7 @@ class Dialect:
             yield from self.table() if callable(self.table) else self.table
             return
         with open(self.path, encoding=self.encoding, newline="") as file:
-            for number, cells in self.split(file):
-                if any(cells):
-                    yield number, cells
+            yield from (row for row in self.split(file) if any(row[1]))
 
     def split(self, lines):
         """Yield (line number from 1, cells) of lines of text."""
@@ -139,22 +130,19 @@ class Dialect:
 
     def number(self, cell):
         """Number in a cell, or None."""
-        if isinstance(cell, int | float) and not isinstance(cell, bool):
-            return float(cell)
         if not isinstance(cell, str):
-            return None
+            return float(cell) if type(cell) in (int, float) else None
         if not _NUMBER.fullmatch(cell):
             if angle := _SEXAGESIMAL.fullmatch(cell):
                 parts = (float(part.translate(_FLOAT)) for part in angle.groups()[1:])
                 return float(f"{angle[1]}1") * sum(x / 60**i for i, x in enumerate(parts))
-            with_unit = _WITH_UNIT.fullmatch(cell)
-            cell = with_unit[1] if with_unit else cell
-            if parted := _THOUSANDS.fullmatch(cell):
+            if with_unit := _WITH_UNIT.fullmatch(cell):
+                cell = with_unit[1]
+            elif parted := _THOUSANDS.fullmatch(cell):
                 cell = cell.replace(parted[1], "")
-            if not _NUMBER.fullmatch(cell):
+            else:
                 return None
-        other = "." if self.decimal == "," else ","
-        if other in cell:
+        if ("." if self.decimal == "," else ",") in cell:
             return None
         # As `_FLOAT` does, which takes four times as long.
         return float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
@@ -193,37 +181,30 @@ class Dialect:
 
 def unit_in(cell):
     """Unit that stands behind the number in a cell, or ""."""
-    if not isinstance(cell, str):
-        return ""
-    match = _WITH_UNIT.fullmatch(cell)
-    return match[5].lower() if match else "deg" * bool(_SEXAGESIMAL.fullmatch(cell))
+    match = _WITH_UNIT.fullmatch(str(cell))
+    return match["unit"].lower() if match else "deg" * bool(_SEXAGESIMAL.fullmatch(str(cell)))
 
 
 def clean(cell):
     """Cell of a spreadsheet as text has it."""
     if isinstance(cell, str):
-        if len(cell) > _MOST_CHARACTERS:
-            raise TableError(f"a cell has {len(cell)} characters, more than {_MOST_CHARACTERS}")
         return cell.translate(_PLAIN).strip()
     return "" if cell is None else cell
 
 
-def check_size(n_columns, n_cells):
+def _check_size(n_cells):
     """Refuse what no table of measurements is as large as."""
-    if n_columns > _MOST_COLUMNS or n_cells > _MOST_CELLS:
-        raise TableError(
-            f"{n_columns} columns and {n_cells} cells, more than the {_MOST_COLUMNS} columns and "
-            f"{_MOST_CELLS} cells that a table may have"
-        )
+    if n_cells > _MOST_CELLS:
+        raise TableError(f"{n_cells} cells, more than the {_MOST_CELLS} that a table may have")
 
 
-def strip_mark(cells):
-    """Cells of a line of comment without its mark; None if the line is no comment."""
+def strip_mark(cells: Sequence[Any]) -> tuple[Sequence[Any], bool]:
+    """Cells of a line without the mark of a comment, and whether it has one."""
     mark = _COMMENT.match(str(cells[0]))
     if not mark:
-        return None
+        return cells, False
     rest = str(cells[0])[mark.end() :]
-    return [rest, *cells[1:]] if rest else cells[1:]
+    return [*filter(None, [rest]), *cells[1:]], True
 
 
 def find_source(path, n_numbers, sheet=None):
@@ -282,23 +263,20 @@ def find_dialect(path, n_numbers):
             f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
             "semicolons, tabs, commas, bars or blanks."
         )
-    return _turned(best, n_numbers) or best
+    return _turned(best, n_numbers)
 
 
 def _turned(source, n_numbers):
-    """The source of a table with a line for each joint, its name first; None of any other."""
+    """The source; of a table with a line for each joint, its name first, that of its columns."""
     rows = [cells for _, cells in islice(source.rows(), _LOOKED_AT)]
-    widths = {len(cells) for cells in rows}
-    if len(widths) > 1 or len(rows) * _WIDER > max(widths):
-        return None
-    texts = [[source.number(cell) is None for cell in cells] for cells in rows]
-    kinds = [set(of_row[1:]) for of_row in texts]
-    named = all(of_row[0] for of_row in texts) and {True, False} not in kinds
-    if not named or kinds.count({False}) < n_numbers:
-        return None
-    return replace(
-        source, what="A line for each joint", table=list(enumerate(zip(*rows, strict=True)))
-    )
+    if len(rows) * _WIDER > min(map(len, rows)) or len({*map(len, rows)}) > 1:
+        return source
+    kinds = ["".join("n-"[source.number(cell) is None] for cell in cells) for cells in rows]
+    n_joints = sum(bool(re.fullmatch("-n+", kind)) for kind in kinds)
+    if n_joints < n_numbers or not all(re.fullmatch("-(n+|-+)", kind) for kind in kinds):
+        return source
+    columns = list(enumerate(zip(*rows, strict=True)))
+    return replace(source, what="A line for each joint", table=columns)
 
 
 def _most_numbers(candidates, n_numbers):
@@ -318,9 +296,9 @@ def _most_numbers(candidates, n_numbers):
 def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes somewhere."""
     with open(path, "rb") as file:
-        head = file.read(3)
-    marked = [name for mark, name in _MARKS if head.startswith(mark)]
-    for encoding in marked or ("utf-8", *_other_script(path), "cp1252"):
+        head = file.read(_CHUNK)
+    marked = [name for mark, name in _MARKS.items() if head.startswith(mark)]
+    for encoding in marked or ("utf-8", *_other_script(head), "cp1252"):
         with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
             while file.read(_CHUNK):
                 pass
@@ -331,23 +309,18 @@ def find_encoding(path):
     )
 
 
-def _other_script(path):
-    """The encoding in which the file's beginning has most signs of headers in its script, if any.
+def _other_script(head):
+    """The encoding in which a file's beginning has most signs of headers in its script, if any.
 
     Latin letters with accents, decoded so, hardly ever give one of these signs.
     """
-    with open(path, "rb") as file:
-        head = file.read(_CHUNK)
-    if head.isascii():
-        return []
-    shares = []
-    for encoding, signs in _SCRIPTS:
+    shares = {}
+    for encoding, signs in _SCRIPTS.items() if not head.isascii() else ():
         text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
-        others = [sign for sign in text if not sign.isascii()]
-        known = sum(sign in signs for sign in others)
-        if known and "\ufffd" not in text:
-            shares.append((known / len(others), encoding))
-    return [max(shares)[1]] if shares else []
+        known = [sign in signs for sign in text if not sign.isascii()]
+        if any(known) and "\ufffd" not in text:
+            shares[encoding] = np.mean(known)
+    return sorted(shares, key=shares.__getitem__)[-1:]
 
 
 def _find_sheet(path, n_numbers, wanted):
@@ -387,7 +360,7 @@ def read_sheets(path):
                 rows = sheets[sheet.title] = []
                 for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
                     n_cells += len(row)
-                    check_size(len(row), n_cells)
+                    _check_size(n_cells)
                     cells = [clean(cell) for cell in row]
                     if any(cell != "" for cell in cells):
                         rows.append((number, cells))
@@ -406,27 +379,20 @@ def _arrays(path, n_numbers):
         if path.suffix.lower() == ".mat":
             from scipy.io import loadmat, whosmat  # which takes half a second to import
 
-            check_size(1, sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
+            _check_size(sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
             content = loadmat(path, squeeze_me=True)
         else:
             if path.suffix.lower() == ".npz":
                 check_unpacked("the file", path)
             loaded = np.load(path, allow_pickle=False)
-            content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
-        content = dict(_fields_of(content))
-        check_size(max((v.shape[1] for v in content.values() if v.ndim > 1), default=1), 0)
+            content = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+        columns = dict(_columns_of(content))
     except NotImplementedError:  # HDF5
         raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
     except Exception as error:  # no such file, or one that would have to be unpickled
         raise TableError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
-    columns: dict = {}
-    for name, values in content.items():
-        if values.ndim == 1:
-            columns[name] = values
-        else:
-            columns |= {f"{name}{i}": column for i, column in enumerate(values.T, 1)}
     n_rows = max(map(len, columns.values()), default=0)
-    columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
+    columns = {name: values for name, values in columns.items() if len(values) == n_rows}
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
     names = list(columns) if any(name.strip("0123456789") for name in columns) else []
@@ -434,21 +400,20 @@ def _arrays(path, n_numbers):
     return Dialect(path, what="Arrays", table=rows)
 
 
-def _fields_of(content):
-    """Yield names and arrays of rows: those of structures, too, and with a row for each time."""
+def _columns_of(content):
+    """Yield names and columns (n,) of arrays: those of structures, too, and of rows for joints."""
     for name, values in content.items():
-        if name.startswith("__") or not isinstance(values, np.ndarray):
-            continue
-        if values.dtype.names:
-            yield from _fields_of(
-                {
-                    field: values[field].item() if values.ndim == 0 else values[field]
-                    for field in values.dtype.names
-                }
-            )
-        elif values.ndim:
-            turned = values.ndim == 2 and values.shape[0] * _WIDER <= values.shape[1]
-            yield name, values.T if turned else values
+        values = np.asarray(values)  # a file of MATLAB has a few other things
+        if fields := values.dtype.names:
+            parts = {field: values[field] for field in fields}
+            alone = values.ndim == 0
+            yield from _columns_of({k: v.item() if alone else v for k, v in parts.items()})
+        elif values.ndim == 1:
+            yield name, values
+        elif values.ndim == 2:
+            of_joints = values.shape[0] * _WIDER <= values.shape[1]
+            columns = values if of_joints else values.T
+            yield from ((f"{name}{i}", column) for i, column in enumerate(columns, 1))
 
 
 def _rows_of_arrays(names, columns):

@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._joints import MEASURED, columns_of_numbers, external_axes, find_joints
+from sklearn_raacmm.app._joints import (
+    MEASURED,
+    columns_of_numbers,
+    coordinates,
+    external_axes,
+    find_joints,
+)
 from sklearn_raacmm.app._records import NUMBER
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.app._units import find_unit, mm_of_slide
@@ -156,30 +162,28 @@ class Layout(Columns):
         named: Any = () if self.points_file else points or ()
         self.point_columns = [self.column(name, "--points") for name in named]
         self.others = {name: self.column(name, "others") for name in others}
-        taken = {*self.point_columns, *self.others.values()}
-        if position is not None:
-            taken.add(self.column(position, "--position"))
+        named = None if position is None else self.column(position, "--position")
+        taken = {*self.point_columns, *self.others.values(), named}
         self.types, slides = joint_types, slides_of(joint_types)
         self.angle_columns = find_joints(self, angles, joint_names, taken, slides)
-        self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
+        self.labelled, self.needed = labelled and points is None, needed
+        self.position_column = named if labelled else None
         # A tracker's points need no labels: those that are there are taken.
-        if labelled and (not points or position is not None or self.label_columns):
+        if labelled and named is None and (not points or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
-            self.position_column = self.find_position(position, taken, needed)
-        self.angle_unit, self.factor, self.turns = angle_unit or "rad", 1.0, np.ones(1)
+            self.position_column = self.find_position(taken, needed)
+        factor: Any = 1.0
         turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
         if counts_per_turn is not None:
-            self.turns = np.asarray(counts_per_turn, dtype=float)
-            self.angle_unit, self.factor = "deg", 360.0
+            turns = np.asarray(counts_per_turn, dtype=float)
+            if not (turns.shape in ((), (1,), (n_joints,)) and np.all(turns > 0)):
+                each = f"one for each of {n_joints} joints"
+                raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
+            angle_unit, factor = "deg", 360.0 / turns
         elif turning and not angle_unit:
-            self.angle_unit, self.factor = find_unit(self, turning)
-        if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
-            each = f"one for each of {n_joints} joints"
-            raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        if slides:
-            unit = np.broadcast_to(self.factor / self.turns, n_joints).copy()
-            unit[slides] = [mm_of_slide(self, self.angle_columns[i]) for i in slides]
-            self.factor, self.turns = unit, np.ones(1)
+            angle_unit, factor = find_unit(self, turning)
+        self.angle_unit, self.factor = angle_unit or "rad", np.full(n_joints, factor)
+        self.factor[slides] = [mm_of_slide(self, self.angle_columns[i]) for i in slides]
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
         self.external = external_axes(self, used)
@@ -188,8 +192,11 @@ class Layout(Columns):
 
     def read(self):
         """All rows as one table."""
-        table = self._table(list(self.rows(self.angle_columns)))
-        labels, by_tracker = table.positions, self.points_file or self.point_columns
+        rows, points = list(self.rows(self.angle_columns)), None
+        if self.points_file:
+            rows, points = self._with_points(rows)
+        table = self._table(rows, points)
+        labels, by_tracker = table.positions, table.points is not None
         # A name for each row is the pose's, where places are found without labels.
         of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
         places = _places_in(labels) if of_each and not by_tracker else None
@@ -210,58 +217,48 @@ class Layout(Columns):
             raise TableError(
                 f"{self.path}: {row}: the position {label!r} is in this row only.{hint}"
             )
-        return _with_points(self, table, self.points_file) if self.points_file else table
+        return table
 
     def blocks(self, n_rows):
-        """Yield tables of at most so many rows, and their cells as they are in the file."""
-        is_plain = self.position_column is None and not self.point_columns
-        lines = self.plain_lines() if is_plain else None
-        if lines is None:
+        """Yield tables of at most so many rows, and their cells as they are in the file.
+
+        Of a table of nothing but plain cells these are whole lines, which is faster.
+        """
+        if not self.is_plain():
             rows = self.rows(self.angle_columns)
             while block := list(islice(rows, n_rows)):
                 yield self._table(block), [cells for _, cells in block]
             return
-        number, separator = self.header_row + 1, str(self.source.separator)
-        while block := list(islice(lines, n_rows)):
-            rows = [(i, line.split(separator)) for i, line in enumerate(block, number)]
-            yield self._table(rows), block
-            number += len(block)
+        with open(self.path, encoding=self.source.encoding, newline="") as file:
+            lines = enumerate(islice(file, self.header_row, None), self.header_row + 1)
+            while block := [(i, line.rstrip("\r\n")) for i, line in islice(lines, n_rows)]:
+                rows = [(i, line.split(self.source.separator)) for i, line in block]
+                yield self._table(rows), [line for _, line in block]
 
-    def plain_lines(self):
-        """Lines of data, without their ends, of a table of nothing but plain cells; None of others.
+    def is_plain(self):
+        """Whether all cells are plain and nothing but rows stands below the header.
 
         Plain are numbers with a decimal point, and words in columns that hold no angles. All lines
         are looked at before the first is handed on: a pattern does so faster than cells are parted.
         """
-        source = self.source
+        source, is_tracked = self.source, self.position_column is not None or self.point_columns
         is_other = source.table is not None or source.separator is None or source.decimal != "."
-        if is_other or self.sections or self.width != len(self.header):
-            return None
-        of_angles = [i in self.angle_columns for i in range(self.width)]
-        cells = [NUMBER if own else _PLAIN_CELL for own in of_angles]
-        separator = re.escape(str(source.separator))
-        line = re.compile(rf"{separator.join(cells)}(?:\r?\n|\Z)")
-        with open(source.path, encoding=source.encoding, newline="") as file:
-            next(islice(file, self.header_row, self.header_row), None)
-            while text := "".join(islice(file, BLOCK_ROWS)):
-                if line.sub("", text):
-                    return None
-        return self._lines()
+        if is_other or is_tracked or self.sections or self.width != len(self.header):
+            return False
+        cells = [NUMBER if i in self.angle_columns else _PLAIN_CELL for i in range(self.width)]
+        line = re.compile(rf"{re.escape(str(source.separator)).join(cells)}(?:\r?\n|\Z)")
+        with open(self.path, encoding=source.encoding, newline="") as file:
+            lines = islice(file, self.header_row, None)
+            blocks = iter(lambda: "".join(islice(lines, BLOCK_ROWS)), "")
+            return not any(line.sub("", text) for text in blocks)
 
-    def _lines(self):
-        with open(self.source.path, encoding=self.source.encoding, newline="") as file:
-            for line in islice(file, self.header_row, None):
-                yield line.rstrip("\r\n")
-
-    def _table(self, rows):
+    def _table(self, rows, points=None):
         """The table of some rows."""
-        positions = points = None
-        if self.position_column is not None:
-            positions = self.labels(rows, self.position_column)
+        column = self.position_column
+        positions = None if column is None else self.labels(rows, column)
         if self.point_columns:
             points = self.points(rows, self.point_columns)
-        angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others = {}
+        angles, others = self.factor * self.numbers(rows, self.angle_columns), {}
         for name, i in self.others.items():
             given = [cells[i] for _, cells in rows]
             values = self.source.numbers(given)
@@ -269,6 +266,37 @@ class Layout(Columns):
         numbers = np.array([number for number, _ in rows])
         read = positions, points, numbers, self.notes, others, self.types
         return Table(angles, self.angle_unit, *read)
+
+    def _with_points(self, rows):
+        """Rows and points of another file: matched by their names, or else by their order.
+
+        Names must tell all rows and all points apart, and most of the fewer must have a partner.
+        """
+        path, wanted = split_points(self.points_file)
+        names, points, notes = read_points(path, wanted)
+        self.notes.extend(notes)
+        at, matched, column = {name: i for i, name in enumerate(names)}, {}, -1
+        for i in (i for i in range(len(self.header)) if i not in self.angle_columns):
+            own = {text_of_label(cells[i]): k for k, (_, cells) in enumerate(rows)}
+            found = {name: k for name, k in own.items() if name in at}
+            if len(own) == len(rows) and len(found) > len(matched):
+                matched, column = found, i
+        if len(at) == len(names) and 2 * len(matched) > min(len(rows), len(names)):
+            kept = {*matched.values()}
+            lost = [str(cells[column]) for k, (_, cells) in enumerate(rows) if k not in kept]
+            self.notes.append(
+                f"Points of {path}, matched by the column {self.header[column]}."
+                + named_first(" Rows without a point, left out", lost)
+                + named_first(" Points without a row", [one for one in names if one not in matched])
+            )
+            return [rows[k] for k in matched.values()], points[[at[name] for name in matched]]
+        if len(points) != len(rows):
+            raise TableError(
+                f"{path} holds {len(points)} points, {self.path} {len(rows)} rows, "
+                "and no column of names says which belong together."
+            )
+        self.notes.append(f"Points of {path}, in the order of the rows.")
+        return rows, points
 
 
 def _places_in(labels):
@@ -302,7 +330,7 @@ _MOST_NAMED = 8
 
 
 def read_points(path, wanted=None):
-    """Names, None if no column holds any; points (n, 3), mm, as trackers export them; and notes.
+    """Names, [] if no column holds any; points (n, 3), mm, as trackers export them; and notes.
 
     The columns are `wanted`, or x, y and z by name, or else names and then three numbers in each
     row. Points without coordinates are left out.
@@ -314,20 +342,17 @@ def read_points(path, wanted=None):
     if axes and not wanted:
         return *_points_by_coordinate(columns, axes[0]), columns.notes[1:]
     xyz = _columns_of_points(columns, wanted)
-    rows = list(columns.rows(xyz))
-    notes = []
-    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in xyz)]:
-        notes.append(f"Points of {path} without coordinates, left out: {len(empty)}.")
-        rows = [row for row in rows if row[1] not in empty]
-    points = columns.points(rows, xyz)
+    every = list(columns.rows(xyz))
+    rows = [row for row in every if any(row[1][i] != "" for i in xyz)]
+    if len(rows) < len(every):
+        lost = len(every) - len(rows)
+        columns.note(f"Points of {path} without coordinates, left out: {lost}.")
     # The names stand before the points, or in a column that is called so, and tell them apart.
     called = [columns.names.index(name) for name in _NAMES if name in columns.names]
-    names = None
-    for i in [xyz[0] - 1, *columns.label_columns, *called]:
-        if i >= 0 and i not in xyz:
-            own = [text_of_label(cells[i]) for _, cells in rows]
-            names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
-    return names, points, notes + columns.notes[1:]
+    beside = [i for i in (xyz[0] - 1, *columns.label_columns, *called) if i >= 0 and i not in xyz]
+    named = [[text_of_label(cells[i]) for _, cells in rows] for i in beside]
+    names = max(named, key=lambda names: len({*names}) == len(names), default=[])
+    return names, columns.points(rows, xyz), columns.notes[1:]
 
 
 def _points_by_coordinate(columns, axis):
@@ -339,7 +364,7 @@ def _points_by_coordinate(columns, axis):
     if [str(cells[axis]).lower() for _, cells in rows] != [*"xyz"] * (len(rows) // 3):
         raise TableError(f"{columns.path}: a point needs its x, y and z in rows one after another.")
     columns.notes.append(f"Coordinates of {columns.path}: {columns.header[value]}.")
-    return names[::3] if axis else None, columns.points(rows, [value]).reshape(-1, 3)
+    return names[::3] if axis else [], columns.points(rows, [value]).reshape(-1, 3)
 
 
 def _columns_of_points(columns, wanted):
@@ -350,10 +375,7 @@ def _columns_of_points(columns, wanted):
     by_name = [[at[name] for name in words if name in at] for words in _COORDINATES]
     if all(by_name):
         return [axes[0] for axes in by_name]
-    likewise = [
-        [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
-    ]
-    triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
+    triples = [axes[:3] for before, axes in coordinates(columns.names) if before not in ("r", "q")]
     measured = [axes for axes in triples if MEASURED.search(columns.names[axes[0]])]
     triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
@@ -384,52 +406,6 @@ def text_of_label(cell):
     except ValueError:
         return text
     return str(int(number)) if number.is_integer() else repr(number)
-
-
-def _with_points(layout, table, source):
-    """The table with points of another file: matched by their names, or else by their order."""
-    path, wanted = split_points(source)
-    names, points, notes = read_points(path, wanted)
-    table.notes.extend(notes)
-    cells = [cells for _, cells in layout.rows(layout.angle_columns)]
-    kept, order, column = _match(layout, cells, names)
-    if len(kept):
-        lost = np.delete(np.arange(len(cells)), kept)
-        spare = np.delete(np.arange(len(points)), order)
-        table.notes.append(
-            f"Points of {path}, matched by the column {layout.header[column]}."
-            + named_first(" Rows without a point, left out", [str(cells[i][column]) for i in lost])
-            + named_first(" Points without a row", [list(names or ())[i] for i in spare])
-        )
-        parts = {name: getattr(table, name)[kept] for name in ("angles", "rows")}
-        others = {name: values[kept] for name, values in table.others.items()}
-        positions = None if table.positions is None else table.positions[kept]
-        return replace(table, **parts, others=others, positions=positions, points=points[order])
-    if len(points) != len(table.angles):
-        raise TableError(
-            f"{path} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
-            "and no column of names says which belong together."
-        )
-    table.notes.append(f"Points of {path}, in the order of the rows.")
-    return replace(table, points=points)
-
-
-def _match(layout, cells, names):
-    """Rows whose name is one of a point, these points, and the column of the names.
-
-    Names must tell all rows and all points apart, and most of the fewer must have a partner.
-    """
-    row_of_name: dict[str, int] = {name: i for i, name in enumerate(names or ())}
-    best: tuple[list[int], list[int], int] = ([], [], -1)
-    for column in range(len(layout.header)):
-        own = [text_of_label(row[column]) for row in cells]
-        if column in layout.angle_columns or len(set(own)) < len(own):
-            continue
-        kept = [i for i, name in enumerate(own) if name in row_of_name]
-        if len(kept) > len(best[0]):
-            best = kept, [row_of_name[own[i]] for i in kept], column
-    enough = 2 * len(best[0]) > min(len(cells), len(names or ()))
-    return best if enough and len(row_of_name) == len(names or ()) else ([], [], -1)
 
 
 def named_first(what, names):

@@ -8,19 +8,15 @@ import shutil
 import sys
 import textwrap
 import threading
-from time import monotonic, perf_counter
-
-import numpy as np
+from functools import partial
+from time import monotonic
 
 _WIDTH = 80
-# Positions in a table on the terminal; the report has all.
-_MOST_ROWS = 12
+# Positions in a table on the terminal; the report has all. Characters of their labels.
+_MOST_ROWS, _LABEL = 12, 24
 _GREEN, _YELLOW, _BOLD, _PLAIN = "\x1b[32m", "\x1b[33m", "\x1b[1m", "\x1b[0m"
 # Seconds between two lines where nobody sees a bar, and between two looks at a bar.
 _LINE_EVERY, _BAR_EVERY = 60.0, 1.0
-# Learning, in products of two 1500 x 1500 matrices: so many for so many rows, with this exponent.
-# An order of time, by what `benchmarks/bench_speed.py` says of fits; no choice of a number.
-_PRODUCTS, _ROWS, _EXPONENT = 50.0, 350, 0.55
 
 
 def _is_terminal(stream):
@@ -39,17 +35,14 @@ def filled(text, stream, indent="  "):
 
 def say(text="", stream=None):
     """Print a sentence in lines that the terminal can show."""
-    stream = stream or sys.stdout
-    if stream is not None:  # --quiet
-        print(filled(text, stream), file=stream)
+    print(filled(text, stream or sys.stdout), file=stream)
 
 
 def print_verdict(text, is_good):
     """Print what the work was for, in colour where the terminal has any and NO_COLOR is not set."""
-    stream = sys.stdout
     plain = "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb"
-    lines = filled(text, stream, "")
-    if stream is not None and _is_terminal(stream) and not plain:
+    lines = filled(text, sys.stdout, "")
+    if _is_terminal(sys.stdout) and not plain:
         lines = f"{_BOLD}{_GREEN if is_good else _YELLOW}{lines}{_PLAIN}"
     print(f"{lines}\n")
 
@@ -59,14 +52,13 @@ def print_scores(scores, rows_named="positions"):
     from sklearn_raacmm.utils import natural_order  # here: sentences alone need no scikit-learn
 
     table = scores.table
-    worst = np.argsort(-table["after"], kind="stable")
-    shown = set(worst[:_MOST_ROWS].tolist())
-    order = [i for i in natural_order(table["position"]) if i in shown]
+    worst = (-table["after"]).argsort(kind="stable")[:_MOST_ROWS]
     cells = [["", "points", "before", "after", "largest before", "after"]]
-    names = ("n_points", "before", "after", "before_max", "after_max")
-    for i in order:
-        n, *values = (table[name][i] for name in names)
-        cells.append([_cut(table["position"][i]), str(n), *(f"{value:.4f}" for value in values)])
+    for i in (i for i in natural_order(table["position"]) if i in worst):
+        label = str(table["position"][i])
+        label = label if len(label) <= _LABEL else f"{label[: _LABEL - 3]}..."
+        values = (table[name][i] for name in ("before", "after", "before_max", "after_max"))
+        cells.append([label, str(table["n_points"][i]), *(f"{value:.4f}" for value in values)])
     means = [f"{scores.summary[when][0]:.4f}" for when in ("before", "after")]
     cells.append(["mean", "", *means, "", ""])
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -75,13 +67,13 @@ def print_scores(scores, rows_named="positions"):
     for first, *rest in cells:
         line = [first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]
         print("  ".join(line).rstrip())
-    if len(worst) > len(order):
-        say(f"These are the {len(order)} worst of {len(worst)}; the report has all.")
+    if (n_all := len(table["after"])) > len(worst):
+        say(f"These are the {len(worst)} worst of {n_all}; the report has all.")
     for when in ("before", "after"):
         _, low, high = scores.summary[when]
         print(f"The mean {when} is {low:.4f} to {high:.4f} mm with 95 % probability.")
     if scores.lengths:
-        before, after = np.abs(scores.length_errors_before), np.abs(scores.length_errors_after)
+        before, after = abs(scores.length_errors_before), abs(scores.length_errors_after)
         say(
             f"Known lengths ({len(scores.lengths)}), mean error: {before.mean():.4f} mm before, "
             f"{after.mean():.4f} mm after; the largest {before.max():.4f} and {after.max():.4f} mm."
@@ -104,22 +96,7 @@ def print_scores(scores, rows_named="positions"):
         say(f"{finding.weight}: {finding}")
 
 
-def _cut(label, most=24):
-    label = str(label)
-    return label if len(label) <= most else f"{label[: most - 3]}..."
-
-
 # -- time -----------------------------------------------------------------------------------------
-
-
-def expected_seconds(n_rows):
-    """About how long learning from so many rows takes here, by a product measured now, s."""
-    some = np.random.default_rng(0).normal(size=(750, 750))
-    np.matmul(some, some)
-    start = perf_counter()
-    np.matmul(some, some)
-    product = 8 * (perf_counter() - start)
-    return _PRODUCTS * (n_rows / _ROWS) ** _EXPONENT * product
 
 
 def in_words(seconds):
@@ -138,8 +115,8 @@ class Progress:
 
     def __init__(self, seconds):
         self.seconds, self.done, self.total = seconds, 0, 0
-        self.stream = sys.stderr
-        self.bar = _is_terminal(self.stream)
+        self.bar = _is_terminal(sys.stderr)
+        self._write = partial(print, end="", file=sys.stderr, flush=True)
         self._end = threading.Event()
 
     def __enter__(self):
@@ -166,16 +143,11 @@ class Progress:
     def _line(self):
         passed = monotonic() - self.start
         # What was measured counts, as soon as something was; the fit to all rows is one more.
-        n_steps = self.total + 1
-        whole = passed * n_steps / self.done if self.done else max(self.seconds, 1.2 * passed)
-        share = min(0.99, passed / whole) if self.done == 0 else self.done / n_steps
+        share = self.done / (self.total + 1)
+        whole = passed / share if share else max(self.seconds, 1.2 * passed)
         what = f"{self.done} of {self.total} folds" if self.done else "calibrating, first folds"
         left = f"{what}, about {in_words(max(0.0, whole - passed))} left"
         if not self.bar:
             return f"{left} after {in_words(passed)}\n"
-        full = round(24 * share)
+        full = round(24 * (share or passed / whole))
         return "\r" + f"[{'#' * full}{'.' * (24 - full)}] {left}".ljust(_WIDTH - 1)
-
-    def _write(self, text):
-        self.stream.write(text)
-        self.stream.flush()

@@ -10,10 +10,8 @@ import numpy as np
 from sklearn_raacmm.app._sources import TableError, unit_in
 
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
-# beyond a hundred turns in degrees is an encoder's count.
-_SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
-# Angles of columns without names that are beyond this many degrees are no angles of joints.
-_TWO_TURNS = 720
+# beyond two turns in degrees is none of a joint.
+_SURELY_DEGREES, _TWO_TURNS = 4 * np.pi, 720
 # Words of loggers and people for a unit, in the languages that they write.
 _WORDS = {
     "deg": "deg degree degrees degrees. degs ° º grad 度 도 degré degrés grado grados gradi градус "
@@ -81,23 +79,24 @@ def stated_units(lines):
     return units
 
 
-def _stated(table, units):
-    """The one of these units that the lines of text state; "" without any."""
-    stated = sorted(unit for unit in units if unit in table.stated and unit)
+def _units(table, columns, known, what):
+    """Units of these columns, of the header; or else the one of those known that text states."""
+    stated = sorted(unit for unit in known if unit in table.stated and unit)
+    units = sorted({table.units[i] for i in columns})
+    if units != [""] or not stated:
+        return units
     if len(stated) > 1:
         raise TableError(
             f"{table.path}: its lines of text name the units {' and '.join(stated)}: say in the "
             "names of the columns which is whose, such as q1 [deg] and x [mm]."
         )
-    return stated[0] if stated else ""
+    table.note(f"{what} in {stated[0]}, as {table.path} says above them.")
+    return stated
 
 
 def mm_of_points(table, columns):
     """Millimetres in the unit of the columns of points."""
-    units = sorted({table.units[i] for i in columns})
-    if units == [""] and (stated := _stated(table, MM_PER_UNIT)):
-        units = [stated]
-        table.notes.append(f"Points in {stated}, as {table.path} says above them.")
+    units = _units(table, columns, MM_PER_UNIT, "Points")
     if len(units) != 1 or units[0] not in MM_PER_UNIT:
         raise TableError(f"{table.path}: the points are in {', '.join(units)}, not in mm.")
     return MM_PER_UNIT[units[0]]
@@ -105,16 +104,13 @@ def mm_of_points(table, columns):
 
 def mm_of_slide(table, column):
     """Millimetres in the unit of the column of a joint that slides."""
-    unit = table.units[column]
-    if not unit and table.are_joint_states([column]):
-        unit = "m"
+    unit = table.units[column] or "m" * table.are_joint_states([column])
     if unit and unit in MM_PER_UNIT:
         return MM_PER_UNIT[unit]
-    said = f"its header says {unit!r}" if unit else "its header does not say"
-    name = table.header[column]
     raise TableError(
-        f"{table.path}: in which unit of length is the column {name!r} of a joint that slides? "
-        f"Name it in the header, such as {table.names[column]} [mm]; {said}."
+        f"{table.path}: in which unit of length is the column {table.header[column]!r} of a joint "
+        f"that slides? Name it in the header, such as {table.names[column]} [mm]; its header says "
+        f"{unit or 'none'}."
     )
 
 
@@ -123,23 +119,20 @@ def find_unit(table, columns):
 
     It is known from the header, from the kind of columns, or from the size of the numbers.
     """
-    units = {table.units[i] for i in columns}
-    if len(units) == 1 and (unit := min(units)) in _ANGLES:
+    unit, *others = _units(table, columns, _ANGLES, "Angles")
+    if unit in _ANGLES and not others:
         known, factor = _ANGLES[unit]
         if any(re.search(r"\bgrad\b", table.header[i], re.IGNORECASE) for i in columns):
             table.notes.append("The unit grad is taken as degrees; name it gon if 400 are a turn.")
         if unit != known:
             table.notes.append(f"Angles in {unit}, {factor:.6g} {known} each.")
         return known, factor
-    if units == {"counts"}:
+    if unit == "counts" and not others:
         raise TableError(
             f"{table.path}: the angles are counts of the encoders: say how many make a turn of "
             "each joint with --counts-per-turn N1,N2,..., or N for all."
         )
-    if units == {""} and (stated := _stated(table, _ANGLES)):
-        table.notes.append(f"Angles in {stated}, as the file says above them.")
-        return _ANGLES[stated]
-    if units != {""}:
+    if unit or others:
         named = ", ".join(table.header[i] for i in columns)
         raise TableError(
             f"{table.path}: the angles must all be in degrees or all in radians, but the "
@@ -152,23 +145,17 @@ def _unit_by_size(table, columns):
     """Unit of angles of which no text says it."""
     values = (table.source.number(cell) for i in columns for cell in table.cells(i))
     largest = max((abs(value) for value in values if value is not None), default=0.0)
-    if largest > _SURELY_COUNTS:
-        raise TableError(
-            f"{table.path}: the angles reach {largest:.6g}. If they are counts of the encoders, "
-            "say how many make a turn with --counts-per-turn N."
-        )
     if largest > _TWO_TURNS:
         raise TableError(
-            f"{table.path}: the numbers reach {largest:.4g}, more than two turns in degrees. "
-            "Are these poses of the tool? Joint angles are needed: name their columns with "
-            "--angles and their unit with --unit."
+            f"{table.path}: the numbers reach {largest:.4g}, more than two turns in degrees. Are "
+            "these poses of the tool? Joint angles are needed: name their columns with --angles "
+            "and their unit with --unit; of encoders, say how many counts make a turn with "
+            "--counts-per-turn N."
         )
     if largest > _SURELY_DEGREES:
         table.notes.append(f"Angles in degrees: they reach {largest:.4g}.")
         return "deg"
-    if table.are_joint_states(columns):
-        return "rad"
-    if all(_IN_RADIANS.search(table.names[i]) for i in columns):
+    if table.are_joint_states(columns) or all(_IN_RADIANS.search(table.names[i]) for i in columns):
         table.notes.append("Angles in rad, as such columns are defined.")
         return "rad"
     raise TableError(

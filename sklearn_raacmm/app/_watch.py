@@ -7,39 +7,34 @@ import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from time import monotonic, process_time, sleep, strftime, thread_time
+from time import monotonic, process_time, sleep, strftime
 
 import numpy as np
 
-from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
+from sklearn_raacmm.app._files import check_outputs, load_arm, load_correction
+from sklearn_raacmm.app._given import Given, in_rad
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import (
-    TUKEY_CUT,
-    check_places,
-    encode_groups,
-    one_blas_thread,
-    robust_scale,
-    write_whole,
-)
+from sklearn_raacmm.utils import one_blas_thread, robust_scale, write_whole
 
 # Seconds: without a new row, after which it stops; between two looks; after which a last line that
-# has no end is read. Share of a core that it takes at most.
+# has no end is read. Share of a core that looking takes at most; to try a correction costs one
+# second for each finished cone.
 _SILENCE_S, _LOOK_S, _HALF_LINE_S, _SHARE = 3600.0, 0.1, 1.0, 0.2
 # A slip is so many standard deviations away, as in `slip_factors`. Farther than so many mm a row is
 # in another place: no two cones stand closer.
-_SLIP_SDS, _APART_MM = 2 * TUKEY_CUT, 20.0
+_SLIP_SDS, _APART_MM = 11.0, 20.0
 # Rows from which on an arm is calibrated, and by which factor they grow until the next time.
 _FIRST_ROWS, _GROWTH = 20, 1.1
 # What is enough: cones, poses in each, and 2S at cones left out over that at cones learnt from. A
 # choice.
 _CONES, _POSES, _NEAR_ENOUGH = 8, 10, 1.2
-# Finished cones from which on a correction is tried, or checked; seconds that the first time costs.
-_LEAST_LEARNT, _LEAST_CHECKED, _FIRST_COST_S = 5, 2, 2.0
+# Finished cones from which on a correction is tried, or checked.
+_LEAST_LEARNT, _LEAST_CHECKED = 5, 2
 # Degrees of a bin of a joint's range, and rows of the strip.
 _BIN_DEG, _STRIP = 15, 60
 
@@ -49,8 +44,7 @@ def watch(options):
     check_installed("jinja2")
     if not (options.arm or options.model):
         raise TableError("say which arm it is: --arm ARM, or --model FOLDER.")
-    own = correction_files(options.model) if options.model else [options.arm]
-    check_places([options.out], [options.table, *own])
+    check_outputs(options, [options.out])
     saved = load_correction(options.model) if options.model else None
     seen = _Seen(saved.arm if saved else load_arm(options.arm), saved)
     table, layout, size, read, grown = Path(options.table), None, 0, 0, monotonic()
@@ -68,7 +62,7 @@ def watch(options):
                 if is_new:
                     try:
                         if layout is None or layout.source.table is not None:
-                            layout = find_rows(options, seen.arm)
+                            layout = Given(options, seen.arm).layout
                             layout.labelled = False  # the last label may be in one row so far
                         seen.take(layout.read())
                         read = size
@@ -96,16 +90,14 @@ class _Seen:
         self.arm, self._nominal, self._saved = arm, arm, saved
         self.n_rows, self.cones, self.wrong, self.strip, self.joints = 0, [], [], [], []
         self.said, self.enough, self.least_poses = "Waiting for the first rows.", False, _POSES
-        self._next_rows, self._judged, self._cost_s = _FIRST_ROWS, 0, _FIRST_COST_S
-        self._start = monotonic(), process_time()
-        self.job: Future[tuple[bool, str, float]] | None = None
+        self._next_rows, self._judged = _FIRST_ROWS, 0
+        self.job: Future[tuple[bool, str]] | None = None
 
     def take(self, table):
         """Judge all rows of the table as it is now."""
         self._angles, self.n_rows = in_rad(table), len(table.angles)
-        labels, codes = encode_groups(table.positions)
-        # Cones are counted as they came.
-        order = np.argsort(np.unique(codes, return_index=True)[1])
+        labels, first, codes = np.unique(table.positions, return_index=True, return_inverse=True)
+        order = np.argsort(first)  # cones are counted as they came
         labels, self._codes = labels[order], np.argsort(order)[codes]
         change = 0.0
         if self._saved is not None:
@@ -136,25 +128,23 @@ class _Seen:
         self._kept = (away <= limit) & ~elsewhere
         self.wrong = []
         for i in np.flatnonzero(~self._kept):
+            text = f"is {away[i]:.1f} mm from its cone: a slip, or a wrong label? Repeat it."
             if elsewhere[i]:
                 text = f"is where {labels[other[i]]} is: is its label wrong?"
-            else:
-                text = f"is {away[i]:.1f} mm from its cone: a slip, or a wrong label? Repeat it."
             self.wrong.append((f"row {rows[i]} ({labels[codes[i]]})", text))
         self.cones = [*zip(labels.tolist(), *centres.T.tolist(), counts.tolist(), strict=True)]
         strip = rows.tolist(), away.tolist(), limit.tolist(), self._kept.tolist()
         self.strip = [*zip(*strip, strict=True)][-_STRIP:]
 
     def work(self, pool):
-        """Try a correction of the finished cones, or check one, where the share allows it."""
+        """Try a correction of the finished cones, or check one, with each further cone."""
         done = self.job is not None and self.job.done()
-        if self.job is not None and done:
-            self.enough, self.said, self._cost_s = self.job.result()
+        if self.job and done:
+            self.enough, self.said = self.job.result()
             self.job = None
         finished = len(self.cones) - 1
         least = _LEAST_LEARNT if self._saved is None else _LEAST_CHECKED
-        spare = _SHARE * (monotonic() - self._start[0]) - (process_time() - self._start[1])
-        if not self.job and finished >= max(least, self._judged + 1) and spare > self._cost_s:
+        if not self.job and finished >= max(least, self._judged + 1):
             self._judged = finished
             counts = np.bincount(self._codes[self._kept], minlength=finished + 1)
             rows = self._kept & (self._codes < finished) & (counts[self._codes] > 2)
@@ -163,13 +153,12 @@ class _Seen:
 
     @one_blas_thread
     def _tried(self, angles, codes):
-        """Whether rows of finished cones are enough, why, and what it costs to say so."""
-        begun, way = thread_time(), self._learn if self._saved is None else self._check
+        """Whether rows of finished cones are enough, and why."""
+        way = self._learn if self._saved is None else self._check
         try:
-            enough, said = way(angles, codes, len(np.unique(codes)))
+            return way(angles, codes, len(np.unique(codes)))
         except ValueError as error:
-            enough, said = False, str(error)
-        return enough, said, thread_time() - begun
+            return False, str(error)
 
     def _learn(self, angles, codes, n_cones):
         """What a correction leaves at every third cone, learnt from the others."""

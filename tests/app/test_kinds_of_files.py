@@ -342,6 +342,8 @@ KINDS = {
         f'{i},"{ALPHABETICAL}","{row.tolist()}"\n' for i, row in enumerate(RAD[:, ORDER]))),
     "json, names of columns": with_points(json.dumps(
         {"columns": Q, "index": [*range(4)], "data": DEG.tolist()})),
+    "json, true and false": {"text": json.dumps(
+        [one | {"in range": bool(i % 3)} for i, one in enumerate(RECORDS)])},
     "json lines, torques, too": {"text": "".join(json.dumps(
         {"place": lab, "q": row.tolist(), "dq": [0.5] * 6, "tau_J": [1.5] * 6}) + "\n"
         for lab, row in zip(LABELS, DEG, strict=True))},
@@ -740,11 +742,12 @@ def test_the_order_of_strange_names_is_not_guessed(tmp_path):
     named = [f"position{ALPHABETICAL.index(name)}" for name in NAMES]
     table = read_table(tmp_path / "log.csv", 6, angles=named, angle_unit="rad", **options)
     np.testing.assert_array_equal(table.angles, RAD)
-    numbered = text
-    for i, k in enumerate(ORDER):
-        numbered = numbered.replace(ALPHABETICAL[i], f"joint_{k + 1}")
-    (tmp_path / "log.csv").write_text(numbered)
-    np.testing.assert_array_equal(read_table(tmp_path / "log.csv", 6, **options).angles, RAD)
+    for form in ("joint_{}", "fr3_joint{}"):  # the first number may be that of the robot
+        numbered = text
+        for i, k in enumerate(ORDER):
+            numbered = numbered.replace(ALPHABETICAL[i], form.format(k + 1))
+        (tmp_path / "log.csv").write_text(numbered)
+        np.testing.assert_array_equal(read_table(tmp_path / "log.csv", 6, **options).angles, RAD)
 
 
 def test_commanded_angles_alone_are_taken_and_other_columns_are_handed_on(tmp_path):

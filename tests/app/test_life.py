@@ -479,9 +479,9 @@ def test_columns_are_written_as_cells_are(folder, tmp_path, monkeypatch):
     for end, by_columns in (("\n", True), ("\r\n", True), ("\n", False)):
         (tmp_path / "log.csv").write_bytes(text.replace("\n", end).encode())
         if not by_columns:
-            monkeypatch.setattr(Layout, "plain_lines", lambda _: None)
+            monkeypatch.setattr(Layout, "is_plain", lambda _: False)
         else:
-            assert Layout(tmp_path / "log.csv", 6, labelled=False).plain_lines() is not None
+            assert Layout(tmp_path / "log.csv", 6, labelled=False).is_plain()
         out = tmp_path / "corrected.csv"
         words = [tmp_path / "log.csv", "--model", folder / "cones", "--out", out]
         assert main(["correct", *map(str, words)]) == 0
@@ -498,7 +498,7 @@ def test_what_needs_a_look_at_cells_is_not_cut_by_columns(row, tmp_path):
     header = ",".join(["place", *(f"q{i} [deg]" for i in range(1, 7))])
     path = tmp_path / "log.csv"
     path.write_text("\n".join([header, "a,1,2,3,4,5,6", "b,7,8,9,1,2,3", row, ""]))
-    assert Layout(path, 6, labelled=False).plain_lines() is None
+    assert not Layout(path, 6, labelled=False).is_plain()
 
 
 def test_short_commands_leave_skops_alone(folder, tmp_path):

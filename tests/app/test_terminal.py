@@ -137,6 +137,11 @@ def test_options_stand_beside_the_tables(folder, capsys):
     for sentence in ("Known lengths: 2.", "Causes: T1.", "correction, 3 times"):
         assert sentence in printed
     assert with_config(["learn", "no.csv"]) == ["learn", "no.csv"]
+    # Folders, too, are named as seen from the file; words that no place has stay as they are.
+    (folder / "raacmm.toml").write_text('model = "out"\nunit = "out"\n')
+    (folder / "out").mkdir()
+    made = with_config(["check", str(folder / "log.csv")])
+    assert made[1:3] == [f"--model={folder / 'out'}", "--unit=out"]
     for text, message in (
         ("agles = 3\n", "agles is no option of raacmm. Was angles meant"),
         ("a =", ""),

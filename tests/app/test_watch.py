@@ -67,7 +67,6 @@ def test_the_page_of_a_growing_table(test, tmp_path, monkeypatch, capsys, read_p
     arm, angles, labels = test
     monkeypatch.setattr(_watch, "_SILENCE_S", 3.0)
     monkeypatch.setattr(_watch, "_SHARE", 0.9)
-    monkeypatch.setattr(_watch, "_FIRST_COST_S", -np.inf)  # whatever the tests have cost so far
     arm.to_json(tmp_path / "arm.json")
     table, page = tmp_path / "cone.csv", tmp_path / "watch.html"
     text = list(lines(angles, labels))
@@ -111,7 +110,7 @@ def test_a_correction_in_use_is_checked(test, tmp_path):
 
     seen = _watch._Seen(arm, Saved)
     seen.take(as_table(angles, labels))
-    enough, said, _ = seen._tried(angles[:24], np.repeat([0, 1], 12))
+    enough, said = seen._tried(angles[:24], np.repeat([0, 1], 12))
     assert enough
     assert said == "Checked with 24 poses in 2 cones: it holds."
     assert asked == [(24, 2)]
@@ -128,7 +127,7 @@ def test_rows_that_no_calibration_explains_are_judged_all_the_same(test, monkeyp
     assert seen.arm is arm
     assert "row 65 (cone 2)" in dict(seen.wrong)
     # A wrong table is told, too, where a correction is tried.
-    assert seen._tried(angles, seen._codes)[:2] == (False, "They belong to another table.")
+    assert seen._tried(angles, seen._codes) == (False, "They belong to another table.")
 
 
 def test_which_arm_it_is_has_to_be_said(refused, tmp_path):
