@@ -120,7 +120,8 @@ def search(
     are (None), or their ranks as `mid_ranks` makes them; of two, the more probable. Given may be
     widths (d,) or ridges (q,). A `start`, a structure or a network, is what was found for other
     weights of the rows. Slips bend a function, and rough kernels follow them: the first refit has
-    the first kernel, and looks far off; the others stay near the one before.
+    the first kernel, and looks far off; the others stay near the one before, and the second decides
+    anew on kernel, inputs and groups' constants.
     """
     (n, d), q = data.X.shape, data.Y.shape[1]
     drawn = [
@@ -128,10 +129,12 @@ def search(
         for size in (COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS)
     ]
     constants = data.codes is not None and bool(data.codes.any())
-    decides = refit != 1  # on kernel, inputs and groups' constants
+    # On kernel, inputs and groups' constants.
+    decides = refit != 1 and (start is None or refit == 2)
     if not decides:
         raw = start is None or start.ranks is None
-        kernels, inputs = kernels[:1], [k for k in inputs if (k is None) == raw] or inputs
+        inputs = [knots for knots in inputs if (knots is None) == raw] or inputs
+        kernels = kernels[:1] if refit == 1 else (start.kernel,)
         constants = constants and (start is None or start.ratio > 0)
 
     def seen(ranks):
