@@ -75,10 +75,8 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
     # Outputs that share centres see the candidates alike: as the one that needs most of them.
-    ridge, rank = (
-        float(structure.alpha[of].min()),
-        _largest_rank(problem, rows, asked, most, or_all),
-    )
+    ridge = float(structure.alpha[of].min())
+    rank = _largest_rank(problem, rows, asked, most, or_all)
     coordinates, target, resolution, degrees, unseen = candidates_of(
         problem, rows, structure, ridge, rank, asked or None
     )
@@ -169,8 +167,8 @@ def features_at(problem, Z, structure, root=None, known=None):
     shift = to_ranks(structure.ranks, problem.rows.X).mean(axis=0)
 
     def columns(block):
-        if known is not None and block.part is not None:
-            rows = known[block.part]
+        if known is not None and block.start is not None:
+            rows = known[block.start : block.start + len(block.X)]
             plain = block.codes is None and np.all(block.root == 1)
             return rows if plain else problem.weigh(rows.copy(order="K"), block)
         X = (to_ranks(structure.ranks, block.X) - shift) / structure.length_scale
@@ -213,7 +211,7 @@ def _columns(problem, features):
     """The candidates' own columns as coordinates, where all rows of a problem are candidates."""
     n = problem.n_rows
     columns, basis, target = problem.reduce(
-        lambda block: (features(block), block.basis, problem.about_tail(block)),
+        lambda block: (features(block), problem.basis(block), problem.about_tail(block)),
         lambda one, other: tuple(map(np.vstack, zip(one, other, strict=True))),
         n,
     )
@@ -227,7 +225,7 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
 
     def products(block):
         F = features(block)
-        return F.T @ F, F.T @ problem.about_tail(block), block.basis.T @ F
+        return F.T @ F, F.T @ problem.about_tail(block), problem.basis(block).T @ F
 
     gram, cross, along = problem.reduce(
         products, lambda one, other: [a + b for a, b in zip(one, other, strict=True)], rank
@@ -250,7 +248,7 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
         p, q = problem.n_tail, cross.shape[1]
 
         def columns(block):
-            return np.hstack([block.basis, features(block), problem.about_tail(block)])
+            return np.hstack([problem.basis(block), features(block), problem.about_tail(block)])
 
         R = problem.triangle(columns, p + rank + q)
         R = np.pad(R, ((0, p + rank + q - len(R)), (0, 0)))[p : p + rank, p:]

@@ -10,7 +10,6 @@ with the root R of the rows' weights and B the polynomial's columns they are the
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Integral
 
@@ -18,25 +17,26 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 from scipy.stats import yeojohnson_llf, yeojohnson_normmax
 
-from sklearn_raacmm.network import _read
-from sklearn_raacmm.network._blocks import ArrayChunks, extend
+from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_centers, features_at
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._likelihood import ALPHA_BOUNDS, LEAST_RIDGE
 from sklearn_raacmm.network._linear import (
+    Problem,
     first_weights,
     nested_least_squares,
+    prepare,
     triangular_factor,
     without_constants,
 )
 from sklearn_raacmm.network._posterior import Network, covariance_factor, pack, predict_mean
 from sklearn_raacmm.network._ranks import mid_ranks
-from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET, Structure, search
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
     many_without_weight,
+    medians_of,
     robust_scale,
     stage,
     tukey_weights,
@@ -79,47 +79,54 @@ def fit_outputs(
 ):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
-    `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". A network of other weights may come `before` a refit, see `search`.
+    `elsewhere` is what `distinct_rows` returns. What is not given, in units of X, sample weights
+    and y, is None or "auto". A network of other weights may come `before` a refit, see `search`.
     Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
-    ridged, value = alpha is None, None
+    ridged, value, rows = alpha is None, None, rows.of_outputs(outputs)
 
     def set_up(degree, ratio=0.0):
-        sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
-        return sample, sample if elsewhere is None else extend(sample, *elsewhere, outputs=outputs)
+        sample = prepare(rows, degree, ridged, ratio)
+        if elsewhere is None:
+            return sample, sample
+        given = rows, sample.polynomial, sample.tail_ridge
+        return sample, Problem(*given, everywhere=(*elsewhere, outputs))
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
     sample, problem = set_up(degree)
-    varying = sample.varying
+    varying, inputs = sample.varying, [None]
     spread = sample.spread[varying]
-    ranks, may_be_raw = None, estimator.inputs != "ranks"
     if estimator.inputs == "ranks" or (estimator.inputs == "auto" and width is None):
-        ranks = mid_ranks(sample.rows.X, sample.rows.weights)
+        ranks = mid_ranks(rows.X, rows.weights)
+        inputs = [ranks] if estimator.inputs == "ranks" else [None, ranks]
     if width is not None and alpha is not None and rows.codes is None:
-        found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
+        found = Structure(kernels[0], width, alpha / problem.unit, ranks=inputs[0])
     else:
-        held, of = sample.held, varying
-        weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
-        within = sample.rows.within[:, of] / (sample.unit * spread**2)
+        block, of = sample.block(rows), varying
+        if before is not None:  # if it has radial functions
+            start = replace(before, alpha=before.alpha[of])
+            before = start if start.alpha.max(initial=0.0) < ALPHA_BOUNDS[1] else None
         found = search(
-            sample.rows._replace(Y=Y, weights=weights, within=within),
+            rows._replace(
+                Y=sample.about_tail(block) / block.root,
+                weights=rows.weights / sample.unit,
+                within=rows.within[:, of] / (sample.unit * spread**2),
+            ),
             kernels if width is None else kernels[:1],  # given widths are those of one kernel
+            inputs,
             length_scale=width,
             isotropic=width is None and estimator.length_scale == "isotropic",
             alpha=None if alpha is None else alpha[of] / sample.unit,
             may_be_linear=estimator.degree == "auto",
             random_state=rng,
-            ranks=ranks,
-            may_be_raw=may_be_raw,
-            start=_as_start(before, of),
+            start=before,
             refit=refit,
         )
         value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
         if alpha is None:
             alpha, of = np.full(len(outputs), problem.unit), problem.varying
-            alpha[of] = found.alpha[np.isin(sample.varying, of)] * sample.unit
+            alpha[of] = found.alpha[np.isin(varying, of)] * sample.unit
         width = found.length_scale if width is None else width
         found = found._replace(length_scale=width, alpha=alpha / problem.unit)
         if found.linear or found.ratio:
@@ -131,15 +138,6 @@ def fit_outputs(
         share[varying], left[varying] = found.used[0], found.used[1] * spread**2
         fit = fit[0].with_share(share, left), *fit[1:]
     return fit, value
-
-
-def _as_start(network, varying):
-    """The structure of a network that has radial functions, of the outputs that vary; or None."""
-    if network is None or network.alpha[varying].max(initial=0.0) >= ALPHA_BOUNDS[1]:
-        return None
-    alpha = network.alpha[varying]
-    width, ratio = network.length_scale, network.ratio
-    return Structure(network.kernel, width, alpha, ratio, ranks=network.ranks)
 
 
 @stage("centres of the network")
@@ -178,7 +176,10 @@ def takes_all_rows(problem, structure):
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
-    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * np.square(problem.held.root).max():
+    if (
+        not len(varying)
+        or alpha.min() < 1.01 * LEAST_RIDGE * problem.rows.weights.max() / problem.unit
+    ):
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
@@ -191,7 +192,7 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     It falls with every row that comes in: a sample's share that is not above `enough` is returned.
     Of more than 2000 rows the last doubling is continued as a power of the number.
     """
-    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
+    Z, weights = problem.scaled(structure), problem.rows.weights / problem.unit
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
     order = np.random.RandomState(0).permutation(len(Z))
     size, last = min(n, FIRST_SAMPLE), None
@@ -225,12 +226,12 @@ def _network(problem, outputs, structure, centers, solution, objective, plain=0.
         length_scale=structure.length_scale,
         centers=centers,
         coef=np.ascontiguousarray(solution[p:]),
-        polynomial=problem.polynomial.coefficients.T @ solution[:p],
+        polynomial=problem.polynomial.T @ solution[:p],
         alpha=alpha,
         weight_unit=float(problem.unit),
         noise_variance=noise,
         signal_variance=np.where(ridged & known, signal, problem.spread**2),
-        tail_map=problem.polynomial.coefficients,
+        tail_map=problem.polynomial,
         ratio=float(problem.ratio),
         ranks=structure.ranks,
         **rest,
@@ -268,8 +269,8 @@ def network_of(problem, outputs, order, structure, n_centers, stop, scaled=False
 def process_of(problem, outputs, structure):
     """The network with a centre at every row: the process itself."""
     rows, alpha = problem.rows, structure.alpha
-    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
-    held = problem.held
+    Z, weights = problem.scaled(structure), problem.rows.weights / problem.unit
+    held = problem.block(rows)
     (n, p), q = held.tail.shape, held.targets.shape[1]
     solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):
@@ -298,63 +299,70 @@ def process_of(problem, outputs, structure):
 # -- weights of rows by Tukey's biweight: rows far off count less, or not at all ------------------
 
 
-def biweights(residuals, weights, codes=None):
-    """Factors (n,) of the rows' weights, by the output in which a row is farthest off.
-
-    Where groups have offsets residuals (n, q) count from their group's median.
-    """
-    counted = weights > 0
-    for code in () if codes is None else np.unique(codes[counted]):
-        own = codes == code
-        residuals[own] -= np.median(residuals[own & counted], axis=0)
+def biweights(residuals, weights):
+    """Factors (n,) of the rows' weights, by the output in which a row is farthest off."""
     size = np.abs(residuals)
     # An output that is met exactly by half of the rows has no scale.
-    known = np.median(size[counted], axis=0) > 1e-12 * size.max(axis=0, initial=0.0)
+    known = np.median(size, axis=0) > 1e-12 * size.max(axis=0, initial=0.0)
     of_outputs = [tukey_weights(left[:, None], weights) for left in residuals.T[known]]
     return np.min([np.ones(len(size)), *of_outputs], axis=0)
 
 
-def reweigh(estimator, blocks, codes):
+def reweigh(estimator, source):
     """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
-    large = len(blocks) > _read.IN_MEMORY_ROWS
+    large = source.n_rows > _rows.IN_MEMORY_ROWS
     if auto and (large or "log_marginal_likelihood_value_" not in first):
         return
-    X, Y, given = blocks.X, blocks.Y, blocks.weights
-    factor, counted, residuals = np.ones(len(given)), given > 0, np.zeros_like(Y)
+    counted = source.weights > 0
+    rows = source._replace(first=np.arange(len(counted))).some(counted)
+    (n, q), factor, residuals = rows.Y.shape, np.ones(rows.n_rows), rows.Y
     for i in range(MAX_FITS):
-        residuals = Y - predict_mean(pack(estimator.networks_), X)
-        last, factor = factor, biweights(residuals, given, codes)
+        residuals = rows.Y - predict_mean(pack(estimator.networks_), rows.X)
+        residuals -= medians_of(residuals, rows.codes)  # where groups have constants
+        last, factor = factor, biweights(residuals, rows.weights)
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
-        if auto and not i and _gain(residuals[counted], factor[counted] > 0) < WORTH * Y.shape[1]:
+        if auto and not i and _gain(residuals, residuals[factor > 0]) < WORTH * q:
             return
-        weighted = ArrayChunks(X, Y, given * factor)
-        estimator._fit_weighted(weighted, codes, estimator.networks_, i + 1)
-        if auto and i == 0:
-            n, far = counted.sum(), residuals[(factor == 0) & counted]
-            lead = evidence(estimator.log_marginal_likelihood_value_, n, far)
-            lead -= evidence(first["log_marginal_likelihood_value_"], n, far[:0])
-            if lead < LEAD * n * Y.shape[1]:
-                return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
-    if auto and np.sum(factor[counted] == 0) > MOST_FAR * counted.sum():
-        return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
+        weighted = rows._replace(weights=rows.weights * factor)
+        estimator._fit_weighted(weighted, estimator.networks_, i + 1)
+        if auto and not i:
+            lead = evidence(estimator.log_marginal_likelihood_value_, n, residuals[factor == 0])
+            lead -= evidence(first["log_marginal_likelihood_value_"], n, residuals[:0])
+            if lead < LEAD * n * q:
+                return _keep(estimator, first, rows, residuals, factor == 0)
+    far = factor == 0
+    if auto and far.mean() > MOST_FAR:
+        return _keep(estimator, first, rows, residuals, far)
     if np.any(factor < 1):
-        far = residuals * (factor == 0)[:, None]
-        added = np.average(np.square(far), axis=0, weights=given)
-        share = np.average(factor == 0, weights=given)
+        squares = np.square(residuals) * far[:, None]
+        added, share = (np.average(a, axis=0, weights=rows.weights) for a in (squares, far))
         estimator.networks_ = tuple(_with_outliers(n, added, share) for n in estimator.networks_)
-    estimator.row_weight_ = factor
-    for finding in many_without_weight(factor[counted]):
+    estimator.row_weight_ = np.ones(len(counted))
+    estimator.row_weight_[counted] = factor
+    for finding in many_without_weight(factor):
         finding.report()
 
 
-def _keep(estimator, first, *far_rows):
-    """Keep the fit of least squares, and say what the rows far off are instead of slips."""
+def _keep(estimator, first, rows, residuals, far):
+    """Keep the fit of least squares, and say where targets are a power of a normal variable."""
     estimator.__dict__ = first
-    for finding in _heavy_tails(*far_rows):
-        finding.report()
+    for y, left in zip(rows.Y.T, residuals.T, strict=True):
+        gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
+        if gain > MARGIN + MARGIN_OF_TARGET * len(y):
+            size = np.abs(left[far]).max() / robust_scale(np.abs(left), 1)
+            Finding(
+                "heavy-tails",
+                f"The targets have heavy tails: {far.sum()} of {len(y)} rows lie more than "
+                f"{TUKEY_CUT:g} standard deviations of the others off, up to {size:.3g}.",
+                "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
+                "transformer=PowerTransformer()).",
+                "note",
+                rows=tuple(rows.first[far].tolist()),
+            ).report()
+            return
 
 
 def _with_outliers(network, added, share):
@@ -364,28 +372,9 @@ def _with_outliers(network, added, share):
     return replace(network, outlier_variance=of_outliers)
 
 
-def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:
-    """Finding of targets (n, q) that are far more probable as a power of a normal variable."""
-    n, far = len(Y), np.flatnonzero(factor == 0)
-    for y, left in zip(Y.T, residuals.T, strict=True):
-        gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
-        if gain > MARGIN + MARGIN_OF_TARGET * n:
-            size = np.abs(left[far]).max() / robust_scale(np.abs(left), 1)
-            yield Finding(
-                "heavy-tails",
-                f"The targets have heavy tails: {len(far)} of {n} rows lie more than {TUKEY_CUT:g} "
-                f"standard deviations of the others off, up to {size:.3g}.",
-                "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
-                "transformer=PowerTransformer()).",
-                "note",
-                rows=tuple(far.tolist()),
-            )
-            return
-
-
 def _gain(residuals, near):
     """Nats for each row by which rows are more probable without those that are not near."""
-    all_rows, near_rows = (np.square(r).mean(axis=0) for r in (residuals, residuals[near]))
+    all_rows, near_rows = (np.square(r).mean(axis=0) for r in (residuals, near))
     return 0.5 * np.log(all_rows / np.maximum(near_rows, 1e-300)).sum()
 
 

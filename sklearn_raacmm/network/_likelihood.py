@@ -21,6 +21,8 @@ however steep it is; one that cannot be told from 0 costs nothing.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,15 +93,14 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     groups' constants to the noise, (d + q + 1,); the signal variance (q,); and its gradient.
     """
     (n, d), q = data.X.shape, len(log_alpha)
-    n_total, Y, lost, constants = data.n_total, data.targets, data.lost, data.constants(ratio)
+    n_total, lost, constants = data.n_total, data.lost, data.constants(ratio)
     K, slope, Xs = covariance(data, kernel, log_width, slope=True)
-    value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
+    value, gradient, signals = 0.0, np.zeros(d + q + 1), np.empty(q)
     by_theta = np.zeros((q, d + q + 1))
-    for i, alpha in enumerate(np.exp(log_alpha)):
-        solved, log_det, half = solve_and_invert(data.add_noise(K, alpha, ratio), Y[:, i])
+    solutions = of_outputs(data, K, np.exp(log_alpha), ratio)
+    for i, (alpha, part, signals[i], solved, half) in enumerate(solutions):
+        value += part
         of_noise = lost[i] / alpha
-        quadratic = max(Y[:, i] @ solved + of_noise, TINY)
-        value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
         # Of the inverse, which is the half and its transpose, and of the square of what is solved:
         # the parts that each row's own noise has, and those of groups' constants.
         trace, square = 2 * np.trace(half), solved @ solved
@@ -113,9 +114,8 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
         gradient[:d] += width_gradient(half, Xs)
         # Of the quadratic form: a'K'a, the weights a being the solution.
         by_theta[i, :d] = -rank_one_gradient(slope, solved, Xs)
-        gradient += 0.5 * n_total * by_theta[i] / quadratic
-        signal[i] = quadratic / n_total
-    return 0.5 * value, gradient, signal, by_theta / n_total
+        gradient += 0.5 * by_theta[i] / signals[i]
+    return value, gradient, signals, by_theta / n_total
 
 
 def solve_and_invert(C, y, invert=True) -> tuple[np.ndarray, float, Any]:
@@ -136,6 +136,19 @@ def solve_and_invert(C, y, invert=True) -> tuple[np.ndarray, float, Any]:
     return solved, log_det, half
 
 
+def of_outputs(data, K, alphas, ratio=0.0, invert=True):
+    """Yield what one factor gives of each output.
+
+    The ridge, the negative log likelihood, the signal variance, and what `solve_and_invert` gives.
+    """
+    for y, lost, alpha in zip(data.targets.T, data.lost, alphas, strict=True):
+        solved, log_det, half = solve_and_invert(data.add_noise(K, alpha, ratio), y, invert)
+        quadratic = max(y @ solved + lost / alpha, TINY * data.n_total)
+        log_det += (data.n_total - len(K)) * np.log(alpha)
+        value = 0.5 * (log_det + data.n_total * np.log(quadratic))
+        yield alpha, value, quadratic / data.n_total, solved, half
+
+
 def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
     """Negative log likelihood as `exact_likelihood` has it, and of rows left out, by one factor.
 
@@ -143,14 +156,10 @@ def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
     form (section 5.4.2 of Rasmussen and Williams), up to a constant, or 0 without `leave_out`.
     Returns, third, the signal variance (q,).
     """
-    value, density, n = 0.0, 0.0, len(K)
-    signals = np.empty(len(alphas))
-    for i, (y, within, alpha) in enumerate(zip(data.targets.T, data.lost, alphas, strict=True)):
-        solved, log_det, half = solve_and_invert(data.add_noise(K, alpha, ratio), y, leave_out)
-        quadratic = max(y @ solved + within / alpha, TINY)
-        log_det += (data.n_total - n) * np.log(alpha)
-        value += 0.5 * (log_det + data.n_total * np.log(quadratic))
-        signals[i] = signal = max(quadratic / data.n_total, TINY)
+    value, density, signals = 0.0, 0.0, []
+    for _, part, signal, solved, half in of_outputs(data, K, alphas, ratio, leave_out):
+        value += part
+        signals.append(signal)
         if half is None:
             continue
         if data.codes is None:
@@ -163,8 +172,8 @@ def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
                 along = np.linalg.solve(root, solved[rows])
                 square += along @ along
                 log_det += 2 * np.log(root.diagonal()).sum()
-        density += 0.5 * (square / signal - log_det + n * np.log(signal))
-    return value, density, signals
+        density += 0.5 * (square / signal - log_det + len(K) * np.log(signal))
+    return value, density, np.array(signals)
 
 
 def used_share(data, K, alphas, ratio=0.0):
@@ -176,18 +185,14 @@ def used_share(data, K, alphas, ratio=0.0):
     """
     if data.codes is None or data.codes[-1] + 1 < LEAST_GROUPS:
         return None
-    found, weights = np.empty_like(data.Y), data.weights[:, None]
-    for i, (y, alpha) in enumerate(zip(data.targets.T, alphas, strict=True)):
-        solved, _, half = solve_and_invert(data.add_noise(K, alpha, ratio), y)
+    found, weights = data.targets, data.weights[:, None]
+    for i, (*_, solved, half) in enumerate(of_outputs(data, K, alphas, ratio)):
         for rows in data.groups:
             inverse = half[rows, rows] + half[rows, rows].T
-            found[rows, i] = y[rows] - np.linalg.solve(inverse, solved[rows])
-    found /= np.sqrt(weights)
-    y, f = (centred(a, data.codes, data.weights) for a in (data.Y, found))
-    products, squares = (
-        np.array([a[g].sum(axis=0) for g in data.groups])
-        for a in (weights * y * f, weights * f * f)
-    )
+            found[rows, i] -= np.linalg.solve(inverse, solved[rows])
+    y, f = (centred(a, data.codes, data.weights) for a in (data.Y, found / np.sqrt(weights)))
+    starts = [rows.start for rows in data.groups]
+    products, squares = (np.add.reduceat(weights * a * f, starts) for a in (y, f))
     size = np.maximum(squares.sum(axis=0), TINY)
     share = products.sum(axis=0) / size
     error = np.linalg.norm(products - share * squares, axis=0) / size
@@ -210,7 +215,8 @@ def rank_one_gradient(slope, a, A):
     return -2 * (2 * (a * along[:, 0]) @ (A * A) - 2 * np.einsum("ik,ik->k", aA, along[:, 1:]))
 
 
-class Task(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Task:
     """What is searched for: theta, the logarithms of what is free, and what is given.
 
     Free are widths, in units of the spread, ridges, and the ratio of groups' constants to noise.
@@ -228,20 +234,35 @@ class Task(NamedTuple):
     @property
     def n_widths(self):
         """Number of free widths."""
-        if self.length_scale is not None:
-            return 0
-        return 1 if self.isotropic else int(self.used.sum())
+        return 0 if self.length_scale is not None else 1 if self.isotropic else self.used.sum()
 
     @property
     def n_alphas(self):
         """Number of free ridges."""
         return self.n_outputs if self.alpha is None else 0
 
-    @property
+    @cached_property
     def bounds(self):
         """Of theta, (n, 2)."""
         bounds = [WIDTH_BOUNDS] * self.n_widths + [ALPHA_BOUNDS] * self.n_alphas
         return np.log(np.reshape(bounds + [RATIO_BOUNDS] * self.constants, (-1, 2)))
+
+    @cached_property
+    def given(self):
+        """Logarithms of all widths, ridges and the ratio, (d + q + 1,), where theta is 0."""
+        width, alpha = self.length_scale, self.alpha
+        width = np.where(self.used, self.spread, np.inf) if width is None else width
+        alpha = np.ones(self.n_outputs) if alpha is None else np.maximum(alpha, ALPHA_BOUNDS[0])
+        return np.append(np.log([*width, *alpha]), 0.0 if self.constants else -np.inf)
+
+    @cached_property
+    def free(self):
+        """Which of these each theta changes, (n, d + q + 1)."""
+        of_alpha = np.full(self.n_outputs, self.alpha is None)
+        of_width = self.used & (self.length_scale is None)
+        free = np.eye(len(self.given))[[*of_width, *of_alpha, self.constants]]
+        k = self.used.sum() if self.isotropic else 0
+        return np.vstack([free[:k].sum(axis=0), free[k:]]) if k else free
 
     def start(self, width, alpha):
         """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
@@ -250,32 +271,15 @@ class Task(NamedTuple):
 
     def pack(self, structure):
         """Theta of a structure, or near it: what is infinite or nothing is at its bound."""
-        width, alpha = np.log(structure.length_scale / self.spread), np.log(structure.alpha)
-        widths = width[self.used]
-        widths = [widths.min()] * self.n_widths if self.isotropic else widths
-        ratio = [np.log(max(structure.ratio, RATIO_BOUNDS[0]))] * self.constants
-        return np.clip([*widths[: self.n_widths], *alpha[: self.n_alphas], *ratio], *self.bounds.T)
+        values = np.append(structure.length_scale, structure.alpha)
+        values = np.log(np.append(values, max(structure.ratio, RATIO_BOUNDS[0])))
+        theta = [np.min(values[own] - self.given[own]) for own in self.free > 0]
+        return np.clip(theta, *self.bounds.T)
 
     def unpack(self, theta):
         """Logarithms of all widths (d,) and ridges (q,), and the ratio."""
-        if self.length_scale is None:
-            log_width = np.full(len(self.spread), np.inf)
-            log_width[self.used] = np.log(self.spread[self.used]) + theta[: self.n_widths]
-        else:
-            log_width = np.log(self.length_scale)
-        ratio = float(np.exp(theta[-1])) if self.constants else 0.0
-        if self.alpha is None:
-            return log_width, theta[self.n_widths :][: self.n_outputs], ratio
-        return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0])), ratio
-
-    def reduce(self, gradient):
-        """From derivatives by all widths, ridges and the ratio to those by theta."""
-        d = len(self.spread)
-        by_width = gradient[:d][self.used]
-        if self.isotropic:
-            by_width = [by_width.sum()]
-        by_alpha, by_ratio = gradient[d:][: self.n_alphas], gradient[-1:][: int(self.constants)]
-        return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
+        d, values = len(self.spread), self.given + theta @ self.free
+        return values[:d], values[d:-1], np.exp(values[-1])
 
 
 def objective(task, theta, data, kernel, kappa=KAPPA):
@@ -287,8 +291,7 @@ def objective(task, theta, data, kernel, kappa=KAPPA):
         )
     except LinAlgError:
         return np.inf, np.zeros(len(theta))
-    gradient = task.reduce(gradient)
-    of_signals = np.array([task.reduce(row) for row in of_signals])
+    gradient, of_signals = task.free @ gradient, of_signals @ task.free.T
     penalty, of_penalty = _penalty(task, theta, data, kappa, signals, of_signals)
     return value + penalty, gradient + of_penalty
 
@@ -329,15 +332,12 @@ class End(NamedTuple):
         return self.value + self.density
 
 
-def judge(task, kernel, theta, data, leave_out=True, K=None):
-    """How good an end is, by one factor for all that is asked; see `likelihoods`.
-
-    The kernel matrix K of these widths may be given.
-    """
+def judge(task, kernel, theta, data, leave_out=True):
+    """How good an end is, by one factor for all that is asked; see `likelihoods`."""
     log_width, log_alpha, ratio = task.unpack(theta)
-    K = covariance(data, kernel, log_width) if K is None else K
+    K, alphas = covariance(data, kernel, log_width), np.exp(log_alpha)
     try:
-        value, density, signals = likelihoods(data, K, np.exp(log_alpha), ratio, leave_out)
+        value, density, signals = likelihoods(data, K, alphas, ratio, leave_out)
     except LinAlgError:
         return End(kernel, theta, np.inf, np.inf, 0.0)
     no_slopes = np.zeros((len(signals), len(theta)))

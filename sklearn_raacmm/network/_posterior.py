@@ -20,6 +20,7 @@ from sklearn_raacmm.network._kernels import (
 )
 from sklearn_raacmm.network._linear import (
     penalise,
+    polynomial_at,
     ridge_rows,
     triangular_factor,
     without_constants,
@@ -31,13 +32,19 @@ from sklearn_raacmm.utils import check_shapes, chunks, one_blas_thread
 # deviation of thousands of centres a hundred points at once are 1.7 times as fast as 26.
 _CHUNK, _CHUNK_OF_STD = 2**18, 2**20
 _SHAPES: dict[str, tuple[str | int, ...]] = {
-    "outputs": ("q",),
+    **dict.fromkeys(("outputs", "alpha", "noise_variance", "signal_variance"), ("q",)),
     "centers": ("k", "d"),
     "length_scale": ("d",),
     "coef": ("k", "q"),
     "polynomial": ("d1", "q"),
     "tail_map": ("p", "d1"),
-    **dict.fromkeys(("alpha", "noise_variance", "signal_variance"), ("q",)),
+}
+# Of what may be None.
+_MORE_SHAPES: dict[str, tuple[str | int, ...]] = {
+    "triangle": ("packed",),
+    "codes": ("k",),
+    "ranks": ("m", 3),
+    "outlier_variance": ("q",),
 }
 
 
@@ -85,11 +92,8 @@ class Network:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        shapes: dict[str, tuple[str | int, ...]] = dict(_SHAPES)
-        shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
-        shapes |= {} if self.codes is None else {"codes": ("k",)}
-        shapes |= {} if self.ranks is None else {"ranks": ("m", 3)}
-        shapes |= {} if self.outlier_variance is None else {"outlier_variance": ("q",)}
+        present = {n: shape for n, shape in _MORE_SHAPES.items() if state.get(n) is not None}
+        shapes = _SHAPES | present | ({"weights": ("k",)} if self.all_rows else {})
         sizes = {"d1": 1 + np.size(state.get("length_scale", ()))}
         check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
         known = np.arange(sizes["d1"] - 1.0) if self.ranks is None else np.unique(self.ranks[:, 0])
@@ -139,7 +143,7 @@ class Network:
 
     def tail(self, X: np.ndarray) -> np.ndarray:
         """Columns of the polynomial in the fit, (n, p)."""
-        return np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
+        return polynomial_at(self.tail_map, X)
 
     def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at all training rows, which are the centres, as the fit sees them."""

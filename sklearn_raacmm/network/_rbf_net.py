@@ -15,7 +15,8 @@ from sklearn.utils import check_random_state, check_scalar
 from sklearn_raacmm.network._fit import fit_outputs, reweigh
 from sklearn_raacmm.network._kernels import KERNELS, Kernel
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
-from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
+from sklearn_raacmm.network._read import check_parameters, read_data
+from sklearn_raacmm.network._rows import distinct_rows
 from sklearn_raacmm.utils import (
     Floats,
     VersionedRegressor,
@@ -283,17 +284,17 @@ class RBFNetRegressor(VersionedRegressor):
         """
         for name in _SOMETIMES:
             self.__dict__.pop(name, None)
-        blocks, codes = read_data(self, X, y, sample_weight, groups)
-        self._fit_weighted(blocks, codes)
+        source = read_data(self, X, y, sample_weight, groups)
+        self._fit_weighted(source)
         if self.loss != "squared":
-            reweigh(self, blocks, codes)
+            reweigh(self, source)
         self._packed = self.networks_, pack(self.networks_)  # or the first `predict` would keep it
         return self
 
-    def _fit_weighted(self, blocks, codes, networks=(), refit=0):
+    def _fit_weighted(self, source, networks=(), refit=0):
         """Fit by least squares with given weights; see `search` for refits."""
         rng = check_random_state(self.random_state)
-        rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
+        rows, elsewhere = distinct_rows(source, self.n_features_in_, rng)
         q = rows.Y.shape[1]
         kernels, width, alpha = check_parameters(self, rows.X, q)
         state, found = rng.get_state(), []

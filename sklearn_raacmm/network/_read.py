@@ -1,4 +1,4 @@
-"""What the user gives, checked: parameters, and the data as a problem in memory or in blocks."""
+"""What the user gives, checked: parameters, and the data as rows in memory or in blocks."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows
+from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
-from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
     LARGEST,
     are_deviations,
@@ -20,8 +19,6 @@ from sklearn_raacmm.utils import (
     is_dask,
 )
 
-# Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
-IN_MEMORY_ROWS, HELD_ROWS = 100_000, 10_000
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
@@ -29,38 +26,31 @@ _MAX_WIDTH = 1e7
 
 
 def read_data(estimator, X, y, sample_weight, groups):
-    """The data, checked, as blocks of rows, and the code of each row's group.
+    """The data, checked, as rows in memory or of dask arrays.
 
-    Codes are None where groups have no constants: where their mean targets are not small.
+    They have codes of groups where these have constants: where their mean targets are small.
     """
-    blocks: Any = DaskChunks(X, y, sample_weight) if is_dask(X) else None
+    source: Any = _rows.DaskRows(X, y, sample_weight) if is_dask(X) else None
     # Robust weights need the residuals of all rows.
-    if blocks is None or len(blocks) <= IN_MEMORY_ROWS or estimator.loss == "tukey":
-        if blocks is not None:
+    if source is None or source.n_rows <= _rows.IN_MEMORY_ROWS or estimator.loss == "tukey":
+        if source is not None:
             X, y = X.compute(), np.asarray(y)
             sample_weight = None if sample_weight is None else np.asarray(sample_weight)
         X, y = check_data(estimator, X, y)
         _refuse_tiny("X", X)
         _refuse_tiny("y", y)
-        blocks = ArrayChunks(X, y.reshape(len(y), -1), check_weights(sample_weight, X))
+        source = _rows.Rows(X, y.reshape(len(y), -1), check_weights(sample_weight, X))
     estimator.n_features_in_, estimator._flat = X.shape[1], np.ndim(y) == 1
     if groups is None:
-        return blocks, None
-    if len(blocks) > IN_MEMORY_ROWS:
+        return source
+    if source.n_rows > _rows.IN_MEMORY_ROWS:
         raise ValueError(
-            f"groups are for at most {IN_MEMORY_ROWS} rows, which are held in memory; there are "
-            f"{len(blocks)}."
+            f"groups are for at most {_rows.IN_MEMORY_ROWS} rows, which are held in memory; there "
+            f"are {source.n_rows}."
         )
-    codes = encode_groups(groups, len(blocks))[1]
-    return blocks, codes if are_deviations(blocks.Y, codes, blocks.weights) else None
-
-
-def distinct_rows(blocks, n_features, codes, rng):
-    """Distinct rows, and None; or a sample of them, and all rows, their number and weight."""
-    if len(blocks) <= IN_MEMORY_ROWS:
-        return merge(blocks.X, blocks.Y, blocks.weights, codes=codes), None
-    n, weight, sample, complete = draw_rows(blocks, n_features, HELD_ROWS, rng.randint(2**31))
-    return sample, None if complete else (blocks, n, weight)
+    codes = encode_groups(groups, source.n_rows)[1]
+    constants = are_deviations(source.Y, codes, source.weights)
+    return source._replace(codes=codes) if constants else source
 
 
 def _refuse_tiny(name, array):

@@ -1,57 +1,50 @@
-"""Weighted data as the network's numerics want them: distinct rows, the polynomial projected out.
+"""Weighted rows: distinct ones, and those too many to be sorted, or in other machines' memory.
 
-All that the numerics need of the rows is a sum over blocks of them, or a triangular factor.
-
-Where targets are known up to a constant of each group of rows, its variance is `ratio` times that
-of the noise, whose covariance is ``W^-1 + ratio G``, where G is 1 within a group. Rows less
-``1 - 1 / sqrt(1 + ratio w_g)`` times their group's weighted mean, times the root of their weights,
-have independent noise of unit variance: that is done to all columns and targets alike.
+Of the latter a first pass draws a sample of distinct rows, by a hash of the rows' content: it
+depends neither on their order nor on the blocks nor on repeats. All else that the numerics need of
+them is a sum over blocks, or a triangular factor.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
 from functools import reduce
-from itertools import chain, pairwise
-from typing import Any, NamedTuple, Self
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import qr
+from sklearn.utils import check_array
 
-from sklearn_raacmm.network._linear import (
-    Polynomial,
-    linear_evidence,
-    polynomial_of,
-    ridge_rows,
-    stack_triangles,
-    triangular_factor,
-    without_constants,
-)
-from sklearn_raacmm.network._ranks import to_ranks
-from sklearn_raacmm.utils import chunks, numbered_by_rows
+from sklearn_raacmm.utils import chunks, floats, numbered_by_rows, one_blas_thread
 
+# Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
+IN_MEMORY_ROWS, HELD_ROWS = 100_000, 10_000
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
-
-
-def block_rows(width):
-    """Rows of a block that holds `width` numbers a row."""
-    width = max(1, width)
-    return max(SMALL_BLOCK // width, min(4 * width, BLOCK // width))
+# Results that are combined in one task.
+_FAN_IN = 8
 
 
 class Rows(NamedTuple):
-    """Distinct rows in sorted order: of their groups, if there are any, and then of X."""
+    """Rows of data, in memory or mapped from a file.
+
+    Once `merged` they are distinct, and sorted: by their groups, if there are any, and then by X.
+    """
 
     X: np.ndarray  # (n, d)
-    Y: np.ndarray  # (n, q) weighted mean targets
-    first: np.ndarray  # (n,) where each was first seen
+    Y: np.ndarray  # (n, q) targets, where rows were merged weighted means of them
     weights: np.ndarray  # (n,) summed
-    within: np.ndarray  # (n, q) weighted sum of squares of the targets about these means
-    observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
-    codes: np.ndarray | None = None  # (n,) group of each row, from 0, where groups have constants
+    codes: np.ndarray | None = None  # (n,) group of each row, where groups have constants
+    # Where rows were merged: where each was first seen (n,); the weighted sums of squares (n, q) of
+    # the targets about these means; and observations (n,), rows of the same X that differ in Y.
+    first: np.ndarray | None = None
+    within: Any = None
+    observed: np.ndarray | None = None
+
+    @property
+    def n_rows(self):
+        return len(self.X)
 
     @property
     def n_total(self):
@@ -68,21 +61,63 @@ class Rows(NamedTuple):
         """Sum of squares (q,) that merging took out of the targets."""
         return self.within.sum(axis=0)
 
-    def some(self, kept: np.ndarray | slice) -> Self:
-        """Some of them."""
-        codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        arrays = {name: getattr(self, name)[kept] for name in self._fields[:6]}
-        return self._replace(**arrays, codes=codes)
+    @property
+    def groups(self):
+        """Slices of the rows that are left out together."""
+        codes = np.arange(self.n_rows) if self.codes is None else self.codes
+        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
+        return [slice(*pair) for pair in pairwise(ends)]
 
-    def of_outputs(self, outputs: np.ndarray) -> Self:
-        """The same rows with some of the outputs."""
+    def some(self, kept: np.ndarray | slice) -> "Rows":
+        """Some of them."""
+        arrays: Any = (None if a is None else np.asarray(a[kept]) for a in self)
+        rows = Rows(*arrays)
+        if rows.codes is None:
+            return rows
+        return rows._replace(codes=np.unique(rows.codes, return_inverse=True)[1])
+
+    def of_outputs(self, outputs: np.ndarray) -> "Rows":
+        """The same rows, merged ones, with some of the outputs."""
         # In the order of memory that they have where these outputs are all there are.
-        Y, within = (np.ascontiguousarray(a[:, outputs]) for a in (self.Y, self.within))
+        arrays: Any = self.Y, self.within
+        Y, within = (np.ascontiguousarray(a[:, outputs]) for a in arrays)
         return self._replace(Y=Y, within=within)
+
+    def merged(self) -> "Rows":
+        """Repeated rows of a group as one, without rows of no weight, whatever their order.
+
+        A row that says again what another has said, target and all, adds weight but is no further
+        observation.
+        """
+        kept = np.flatnonzero(self.weights > 0)
+        # Adding 0 makes -0.0 and 0.0 one value.
+        X, Y, weights, codes = self.X[kept] + 0.0, self.Y[kept], self.weights[kept], self.codes
+        if codes is not None:  # by the rows themselves, not by their order or the names of groups
+            codes = np.unique(codes[kept], return_inverse=True)[1]
+            codes = numbered_by_rows(codes, np.lexsort(np.column_stack([Y, X]).T))[0]
+        keys = X if codes is None else np.column_stack([codes, X])
+        _, place, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        inverse = inverse.ravel()
+        total = np.bincount(inverse, weights)
+        mean = np.column_stack([np.bincount(inverse, weights * y) for y in Y.T]) / total[:, None]
+        about = weights[:, None] * np.square(Y - mean[inverse])
+        if self.within is not None:
+            about += self.within[kept]
+        again = np.unique(np.column_stack([inverse, Y]), axis=0, return_index=True)[1]
+        count = np.ones(len(kept)) if self.observed is None else self.observed[kept]
+        return Rows(
+            X[place],
+            mean,
+            total,
+            None if codes is None else codes[place],
+            first=(kept if self.first is None else self.first[kept])[place],
+            within=np.column_stack([np.bincount(inverse, column) for column in about.T]),
+            observed=np.bincount(inverse[again], count[again]),
+        )
 
     def draw(self, size, random_state):
         """About `size` rows drawn at random, sorted, groups as a whole; all where no more."""
-        n = len(self.X)
+        n = self.n_rows
         if n <= size:
             return np.arange(n)
         if self.codes is None:
@@ -112,179 +147,112 @@ class Rows(NamedTuple):
         root = np.sqrt(ratio * self.weights)
         return [(rows, root[rows]) for rows in self.groups]
 
-    @property
-    def groups(self):
-        """Slices of the rows that are left out together."""
-        codes = np.arange(len(self.X)) if self.codes is None else self.codes
-        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
-        return [slice(*pair) for pair in pairwise(ends)]
+    def reduce(self, function, combine, width, start=0):
+        """Combine function(rows, number of the first) of blocks, which holds `width` numbers a row.
+
+        Groups are in one block as a whole; `start` numbers the first of all rows.
+        """
+        width = max(1, width)
+        size = max(SMALL_BLOCK // width, min(4 * width, BLOCK // width))
+        stops = np.array([part.stop for part in chunks(self.n_rows, size)])
+        if self.codes is not None:
+            stops = np.unique(np.searchsorted(self.codes, self.codes[stops - 1], side="right"))
+        parts = pairwise([0, *stops.tolist()])
+        return reduce(combine, (function(self.some(slice(*p)), start + p[0]) for p in parts))
 
 
-class Block(NamedTuple):
-    """Some rows of a problem: columns less groups' constants, times the root of the weights."""
+class DaskRows:
+    """Rows of a dask array, and targets and weights that may be arrays in memory.
 
-    X: np.ndarray  # (n, d)
-    root: np.ndarray  # (n, 1) root of the weights, in units of an observation's
-    tail: np.ndarray  # (n, p) polynomial
-    basis: np.ndarray  # (n, p) orthonormal basis of it on all rows
-    targets: np.ndarray  # (n, q)
-    codes: np.ndarray | None = None  # (n,) groups, where these have constants
-    part: slice | None = None  # which of the rows that are held these are
-
-
-class Problem(NamedTuple):
-    """A polynomial and targets at distinct rows, or at more rows, of which these are a sample."""
-
-    rows: Rows
-    held: Block  # the same, as sums over rows take them
-    unit: float  # mean weight of an observation
-    n_total: float  # number of observations, the sum of the weights in these units
-    within: np.ndarray  # (q,) sum of squares lost by taking means
-    ratio: float  # variance of groups' constants over that of an observation's noise
-    polynomial: Polynomial
-    projection: np.ndarray  # (p, q) targets along the polynomial's basis
-    spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
-    tail_ridge: float  # of the tail's linear part, in units of an observation
-    basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
-    # Combines a function of all blocks, as `reduce` does, where not all rows are held.
-    of_read: Callable | None = None
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.rows.X) if self.of_read is None else int(self.n_total)
-
-    @property
-    def n_tail(self) -> int:
-        return self.held.tail.shape[1]
-
-    @property
-    def tail_rows(self) -> np.ndarray:
-        """The ridge as further rows of the polynomial."""
-        return ridge_rows(self.n_tail, self.tail_ridge)
-
-    @property
-    def varying(self) -> np.ndarray:
-        """The targets' columns that are no constants."""
-        return np.flatnonzero(self.spread > 0)
-
-    def about_tail(self, block: Block) -> np.ndarray:
-        """Targets that vary, about the polynomial and in units of their spread."""
-        of = self.varying
-        return (block.targets[:, of] - block.basis @ self.projection[:, of]) / self.spread[of]
-
-    def scaled(self, structure: Any) -> np.ndarray:
-        """Rows as radial functions see them, about their middle in units of the widths."""
-        X = to_ranks(structure.ranks, self.rows.X)
-        return (X - X.mean(axis=0)) / structure.length_scale
-
-    def weigh(self, columns: np.ndarray, block: Block) -> np.ndarray:
-        """Columns at a block's rows, less groups' constants, times root; may overwrite them."""
-        weights = np.square(block.root[:, 0])
-        columns = without_constants(columns, block.codes, weights, self.ratio)
-        columns *= block.root
-        return columns
-
-    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
-        """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.of_read is None:
-            return reduce(combine, map(function, chain(self._of_held(width), self._of_ridge())))
-        found = self.of_read(function, combine, width)
-        return reduce(combine, map(function, self._of_ridge()), found)
-
-    def triangle(self, columns: Callable, width: int) -> np.ndarray:
-        """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
-        return self.reduce(lambda block: triangular_factor(columns(block)), stack_triangles, width)
-
-    def _of_held(self, width):
-        """Blocks of the rows that are held; whole groups."""
-        parts, codes = chunks(self.n_rows, block_rows(width)), self.held.codes
-        arrays = self.held[:5]
-        for part in parts if codes is None else _whole_groups(parts, codes):
-            own = None if codes is None else codes[part] - codes[part.start]
-            yield Block(*(array[part] for array in arrays), codes=own, part=part)
-
-    def _of_ridge(self):
-        """The ridge of the polynomial as rows without weight, if it has one."""
-        m = len(self.basis_rows)
-        if m:
-            X, targets = (np.zeros((m, a.shape[1])) for a in (self.rows.X, self.held.targets))
-            yield Block(X, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
-
-
-def _whole_groups(parts, codes):
-    """Slices of rows, each extended to the end of the group in which it ends."""
-    start = 0
-    for part in parts:
-        stop = int(np.searchsorted(codes, codes[part.stop - 1], side="right"))
-        if stop > start:
-            yield slice(start, stop)
-        start = max(start, stop)
-
-
-def merge(X, Y, weights, within=None, count=None, codes=None):
-    """Merge repeated rows of a group, and drop rows without weight, whatever their order.
-
-    A row that says again what another has said, target and all, adds weight but is no further
-    observation. `within` (n, q) and `count` (n,) are of a merge before.
+    Each chunk is worked on where it is.
     """
-    kept = np.flatnonzero(weights > 0)
-    X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
-    if codes is not None:  # by the rows themselves, not by their order or the names of groups
-        codes = np.unique(codes[kept], return_inverse=True)[1]
-        codes = numbered_by_rows(codes, np.lexsort(np.column_stack([Y, X]).T))[0]
-    keys = X if codes is None else np.column_stack([codes, X])
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    inverse = inverse.ravel()
-    distinct, n = X[first], len(first)
 
-    def summed(values):
-        return np.bincount(inverse, weights=values, minlength=n)
+    def __init__(self, X, y, sample_weight):
+        import dask.array as da
 
-    total = summed(weights)
-    mean = np.column_stack([summed(weights * y) for y in Y.T]) / total[:, None]
-    about = weights[:, None] * np.square(Y - mean[inverse])
-    if within is not None:
-        about += within[kept]
-    within = np.column_stack([summed(column) for column in about.T])
-    if count is None:
-        several = np.flatnonzero((np.bincount(inverse, minlength=n) > 1)[inverse])
-        pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
-        observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
-    else:
-        alike = np.all(within == 0.0, axis=1)
-        observed = np.where(alike, 1.0, summed(count[kept]))
-    if codes is not None:
-        codes = codes[first]
-    return Rows(distinct, mean, kept[first], total, within, observed, codes)
+        if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
+            raise ValueError(
+                "X must be of shape (n_samples, n_features) with chunks of known size; got "
+                f"{X.shape}. X.compute_chunk_sizes() finds them."
+            )
+        self.n_rows, self.sizes = X.shape[0], X.chunks[0]
+        if sample_weight is None:
+            sample_weight = da.ones(self.n_rows, chunks=self.sizes)
+        arrays = [X.rechunk({1: -1})]
+        for name, given, dimensions in (("y", y, (1, 2)), ("sample_weight", sample_weight, (1,))):
+            array = da.asarray(given)
+            if array.ndim not in dimensions or array.shape[0] != self.n_rows:
+                raise ValueError(f"{name} has shape {array.shape}, but X has {self.n_rows} rows.")
+            array = array[:, None] if name == "y" and array.ndim == 1 else array
+            arrays.append(array.rechunk((self.sizes, -1)[: array.ndim]))
+        self.parts = list(zip(*(a.to_delayed().ravel() for a in arrays), strict=True))
+
+    def reduce(self, function, combine, width):
+        """As `Rows.reduce`; results are combined by a tree of tasks."""
+        from dask.delayed import delayed
+
+        starts = np.cumsum([0, *self.sizes[:-1]]).tolist()
+        results = [
+            delayed(_of_chunk, pure=False)(*part, function, combine, width, start)
+            for part, start, size in zip(self.parts, starts, self.sizes, strict=True)
+            if size
+        ]
+        while len(results) > 1:
+            results = [
+                delayed(_combined, pure=False)(combine, results[i : i + _FAN_IN])
+                for i in range(0, len(results), _FAN_IN)
+            ]
+        return results[0].compute()
 
 
-def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -> Problem:
-    """Set up the polynomial of a degree at distinct rows; if `ridged`, by the likelihood."""
-    unit, n_total = rows.weights.sum() / rows.observed.sum(), rows.observed.sum()
-    weights, within = rows.weights / unit, rows.within.sum(axis=0) / unit
-    root, polynomial = np.sqrt(weights)[:, None], polynomial_of(rows.X, weights, degree, ridged)
+@one_blas_thread
+def _of_chunk(X, Y, weights, *how):
+    arrays = []
+    for name, given in (("X", X), ("y", Y), ("sample_weight", weights)):
+        weighs = name == "sample_weight"
+        options = {"ensure_2d": not weighs, "ensure_non_negative": weighs, "input_name": name}
+        array = check_array(given, dtype=np.float64, **options)
+        arrays.append(floats(name, array, finite=True))
+    return Rows(*arrays).reduce(*how)
 
-    def weigh(columns):
-        return root * without_constants(columns, rows.codes, weights, ratio)
 
-    tail, targets, ridge = weigh(polynomial.columns(rows.X)), weigh(rows.Y), 0.0
-    if ridged and degree == 1:
-        about = weigh(rows.Y - np.average(rows.Y, axis=0, weights=weights))
-        ridge = linear_evidence(tail[:, 1:], about, within, n_total - 1, n_total)[0]
-        if not ridge:
-            return prepare(rows, degree, ratio=ratio)
-    basis, basis_rows = tail, tail[:0]
-    if tail.size:
-        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
-        basis = qr(stacked, mode="economic", check_finite=False)[0]
-        basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
-    projection = basis.T @ targets
-    left = np.square(targets - basis @ projection).sum(axis=0) + within
-    left += np.square(basis_rows @ projection).sum(axis=0)
-    spread = np.sqrt(left / n_total)
-    # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * np.abs(rows.Y).max(axis=0)] = 0.0
-    held = Block(rows.X, root, tail, basis, targets, rows.codes)
-    return Problem(
-        rows, held, unit, n_total, within, ratio, polynomial, projection, spread, ridge, basis_rows
-    )
+@one_blas_thread
+def _combined(combine, results):
+    return reduce(combine, results)
+
+
+def _hash(X, seed):
+    """A number for each row that depends on its content only (the finaliser of splitmix64)."""
+    h = np.full(len(X), seed, dtype=np.uint64)
+    for column in np.ascontiguousarray(X.T).view(np.uint64):
+        h = (h ^ column) + np.uint64(0x9E3779B97F4A7C15)
+        h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        h ^= h >> np.uint64(31)
+    return h
+
+
+def distinct_rows(source, n_features, rng):
+    """Distinct rows, and None; or a sample of them, and all rows, their number and weight."""
+    if source.n_rows <= IN_MEMORY_ROWS:
+        return source.merged(), None
+    seed, size = np.uint64(rng.randint(2**31)), HELD_ROWS
+
+    def cut(rows):
+        """The rows of the smallest hashes, still sorted."""
+        return rows.some(np.sort(np.argsort(_hash(rows.X, seed), kind="stable")[:size]))
+
+    def summary(rows, start):
+        sample = rows.merged()
+        sample = cut(sample._replace(first=start + sample.first))
+        return int(np.sum(rows.weights > 0)), rows.weights.sum(), sample
+
+    def join(one, other):
+        pairs = zip(one[2], other[2], strict=True)
+        both: Any = (None if pair[0] is None else np.concatenate(pair) for pair in pairs)
+        return one[0] + other[0], one[1] + other[1], cut(Rows(*both).merged())
+
+    n, weight, sample = source.reduce(summary, join, 4 * n_features)
+    if not n:
+        raise ValueError("Sample weights must contain at least one non-zero number.")
+    return sample, None if sample.n_rows < size else (source, n, weight)

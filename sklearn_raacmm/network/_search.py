@@ -12,7 +12,9 @@ leave-one-out predictions on these rows (`judge`).
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
@@ -32,7 +34,12 @@ from sklearn_raacmm.network._likelihood import (
     of_noise,
     used_share,
 )
-from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
+from sklearn_raacmm.network._linear import (
+    linear_evidence,
+    polynomial_at,
+    polynomial_of,
+    without_constants,
+)
 from sklearn_raacmm.network._ranks import are_alike, to_ranks
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
@@ -97,74 +104,70 @@ class Structure(NamedTuple):
 def search(
     data: Rows,
     kernels: Sequence[Kernel],
+    inputs: Sequence[np.ndarray | None],
     *,
     length_scale: np.ndarray | None = None,
     isotropic: bool = False,
     alpha: np.ndarray | None = None,
     may_be_linear: bool = False,
     random_state: np.random.RandomState | None = None,
-    ranks: np.ndarray | None = None,
-    may_be_raw: bool = True,
-    start: Structure | None = None,
+    start: Any = None,
     refit: int = 0,
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
-    The data are distinct rows with targets in units of their spread. Given may be widths (d,)
-    or ridges (q,). A `start` is what was found for other weights of the rows. Slips bend a
-    function, and rough kernels follow them: the first refit has the first kernel, and looks far
-    off; the others stay near the one before, and the second decides anew on kernel, inputs and
-    groups' constants.
-    With `ranks`, as `mid_ranks` makes them, these may be the inputs, or have to be.
+    The data are distinct rows with targets in units of their spread. Inputs are features as they
+    are (None), or their ranks as `mid_ranks` makes them; of two, the more probable. Given may be
+    widths (d,) or ridges (q,). A `start`, a structure or a network, is what was found for other
+    weights of the rows. Slips bend a function, and rough kernels follow them: the first refit has
+    the first kernel, and looks far off; the others stay near the one before, and the second decides
+    anew on kernel, inputs and groups' constants.
     """
     (n, d), q = data.X.shape, data.Y.shape[1]
-    decides = refit != 1 and (start is None or refit == 2)
-    if not decides and may_be_raw:
-        may_be_raw = start is None or start.ranks is None
-        ranks = None if may_be_raw else ranks
-    first_ranks = None if may_be_raw else ranks
-    sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
-    drawn = [data.draw(size, random_state) for size in sizes]
+    drawn = [
+        data.draw(size, random_state)
+        for size in (COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS)
+    ]
     constants = data.codes is not None and bool(data.codes.any())
+    # On kernel, inputs and groups' constants.
+    decides = refit != 1 and (start is None or refit == 2)
     if not decides:
-        kernels = kernels[:1] if start is None or refit == 1 else (start.kernel,)
+        raw = start is None or start.ranks is None
+        inputs = [knots for knots in inputs if (knots is None) == raw] or inputs
+        kernels = kernels[:1] if refit == 1 else (start.kernel,)
         constants = constants and (start is None or start.ratio > 0)
 
-    def seen(ranks, length_scale):
+    def seen(ranks):
         """The task for features as they are, or their ranks, and rows of both stages as seen."""
         X = to_ranks(ranks, data.X)
         spread = robust_spread(X, data.weights)
-        used = np.ones(len(spread), dtype=bool)
+        used = np.full(len(spread), length_scale is not None)
         if length_scale is None:
             _refuse_far(X, spread)
             used = spread > 0
         spread = np.where(used, spread, 1.0)
         rows = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-        few, many = map(rows.some, drawn)
         task = Task(spread, used, q, isotropic, length_scale, alpha, constants, ranks)
+        few, many = map(rows.some, drawn)
         return task, few, many
 
     def look(task, few, many):
-        same_inputs = start is not None and (start.ranks is None) == (task.ranks is None)
-        known = start if same_inputs else None
-        task, ends = _first_stage(task, kernels, few, known, decides, refit > 1)
+        near = start is not None and (start.ranks is None) == (task.ranks is None)
+        task, ends = _first_stage(task, kernels, few, start if near else None, decides, refit > 1)
         more = len(many.X) > len(few.X)
         ends = _second_stage(task, ends, many) if more else ends
         # The first kernel, unless another one leads clearly.
         end = min(ends, key=_handicapped(kernels[0], many))
-        if more or not decides:
-            return task, end
-        return task, _end(task, end.kernel, end.theta, few, 0.0)
+        return task, end if more or not decides else _end(task, end.kernel, end.theta, few, 0.0)
 
-    task, few, many = seen(first_ranks, length_scale)
-    silent = silent_widths(task.spread, task.used)
+    task, few, many = seen(inputs[0])
+    # Widths of radial functions that are as good as noise.
+    silent = np.where(task.used, task.spread * np.sqrt(max(task.used.sum(), 1)), np.inf)
     if not q or not task.used.any():  # nothing varies, nothing can be learnt
-        width = silent if length_scale is None else length_scale
-        ridge = np.ones(q) if alpha is None else alpha
-        return Structure(kernels[0], width, ridge, ranks=first_ranks)
+        return Structure(kernels[0], silent, np.ones(q), ranks=inputs[0])
     task, end = look(task, few, many)
-    if ranks is not None and may_be_raw and task.n_widths:
-        other = seen(ranks, None)
+    if len(inputs) > 1 and task.n_widths:
+        other = seen(inputs[1])
         if _may_win(task, end, few, *other[:2]):
             ranked, found = look(*other)
             if found.score < end.score - margin(many):
@@ -180,18 +183,18 @@ def search(
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
     task, end = _leave_out_flat(task, end, many)
     log_width, log_alpha, ratio = task.unpack(end.theta)
-    width = np.exp(log_width)
+    width, ridge = np.exp(log_width), np.exp(log_alpha)
     _warn_of_narrow(task, width)
     return Structure(
         end.kernel,
         width,
-        np.exp(log_alpha),
+        ridge,
         ratio,
         log_likelihood=log_likelihood(many, end.likelihood),
         n_observations=many.n_total,
         n_found=n_found / q,
         ranks=task.ranks,
-        used=used_share(many, covariance(many, end.kernel, log_width), np.exp(log_alpha), ratio),
+        used=used_share(many, covariance(many, end.kernel, log_width), ridge, ratio),
     )
 
 
@@ -199,7 +202,7 @@ def _may_win(task, end, few, other, ranked_few):
     """Whether ranks may be the better inputs: by a short search on few rows, if they say more."""
     if are_alike(few.X, ranked_few.X):
         return False
-    ranked, least = task._replace(spread=other.spread), margin(few)
+    ranked, least = replace(task, spread=other.spread), margin(few)
     nats = COMPARED * least
     theta = minimise(ranked, end.theta, ranked_few, end.kernel, TRIAL_STEPS, nats=nats)
     lead = judge(task, end.kernel, end.theta, few).score
@@ -221,7 +224,7 @@ def _first_stage(task, kernels, few, start, decides, near):
     end = find(task)
     if task.constants and decides:
         # Constants explain what a function does between groups, too, and need not be there.
-        plain = task._replace(constants=False)
+        plain = replace(task, constants=False)
         other = find(plain)
         if end.score > other.score - margin(few):
             task, end = plain, other
@@ -279,20 +282,12 @@ def _warn_of_narrow(task, width):
         )
 
 
-def silent_widths(spread, used):
-    """Widths of radial functions that are as good as noise."""
-    return np.where(used, spread * np.sqrt(max(used.sum(), 1)), np.inf)
-
-
 def _coarse(task, kernel, data, start=None):
     """Where the search for one kernel ends on few rows, from several starts and a given one."""
-    starts = [[task.start(c, a) for a in START_RIDGES] for c in START_WIDTHS]
+    starts = [task.start(*at) for at in product(START_WIDTHS, START_RIDGES)]
     if start is not None:
-        starts.append([_revived(task, task.pack(start))])
-    found = []
-    for alike in starts:  # but for the ridge
-        K = covariance(data, kernel, task.unpack(alike[0])[0])
-        found += [judge(task, kernel, theta, data, False, K) for theta in alike]
+        starts.append(_revived(task, task.pack(start)))
+    found = [judge(task, kernel, theta, data, leave_out=False) for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
@@ -320,7 +315,7 @@ def _leave_out_flat(task, end, data):
         return task, end
     used = task.used.copy()
     used[used] = ~flat
-    fewer = task._replace(used=used)
+    fewer = replace(task, used=used)
     without = judge(fewer, end.kernel, np.delete(end.theta, np.flatnonzero(flat)), data)
     return (fewer, without) if without.value < end.value - margin(data) else (task, end)
 
@@ -362,7 +357,8 @@ def _simpler(task, end, data, silent, may_be_linear):
 
 def _linear(data, value, density, margin):
     """Ratio, evidence and share of a linear model that is better by a margin; or None."""
-    columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
+    linear = polynomial_of(data.X, data.weights, 1, ridged=True)[1:]
+    columns = polynomial_at(linear, data.X)
     root, weights = np.sqrt(data.weights)[:, None], data.weights
 
     def at(ratio):

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from contextlib import suppress
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
@@ -48,7 +46,7 @@ def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     array([[0.1 , 0.  , 0.02]])
     """
     vectors = floats("vectors", vectors, 3)
-    return to_cylindrical(vectors, _direction(azimuth, len(vectors)))
+    return to_cylindrical(vectors, direction_of(azimuth, (), vectors.shape[:1]))
 
 
 def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
@@ -82,25 +80,18 @@ def cylindrical_to_cartesian(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarr
     array([[0.  , 0.1 , 0.02]])
     """
     vectors = floats("vectors", vectors, 3)
-    return to_cartesian(vectors, _direction(azimuth, len(vectors)))
+    return to_cartesian(vectors, direction_of(azimuth, (), vectors.shape[:1]))
 
 
-def _direction(azimuth, n):
-    """Cosine and sine of one azimuth for all vectors, or of one for each."""
+def direction_of(azimuth, *shapes):
+    """Cosine and sine of azimuths, whose array is to have one of some shapes."""
     azimuth = floats("azimuth", azimuth, finite=True)
-    if azimuth.shape not in ((), (n,)):
+    if azimuth.shape not in shapes:
         raise ValueError(
-            f"azimuth must be one angle or one for each of {n} vectors, got shape {azimuth.shape}."
+            f"azimuth has shape {azimuth.shape}, but one angle for each row is needed, shape "
+            f"{' or '.join(map(str, shapes))}."
         )
     return np.cos(azimuth), np.sin(azimuth)
-
-
-def direction_of(x, y):
-    """Cosine and sine of the azimuth of points; (1, 0) on the axis itself, as arctan2 has it."""
-    radius = np.hypot(x, y)
-    on_axis = radius == 0
-    radius[on_axis] = 1.0
-    return np.where(on_axis, 1.0, x / radius), y / radius
 
 
 def to_cylindrical(vectors, direction):
@@ -160,6 +151,8 @@ def without_direction(X):
 
 def ends_in_direction(X):
     """Whether the two last columns of X are the direction of an azimuth."""
-    with suppress(TypeError, ValueError):
-        return without_direction(X) is not None
-    return False
+    try:
+        without_direction(X)
+    except (TypeError, ValueError):
+        return False
+    return True

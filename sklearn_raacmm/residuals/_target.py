@@ -330,20 +330,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         """Split X into the regressor's features and the azimuth's direction (cos, sin), if any."""
         if self._drops_direction:
             return without_direction(X)
-        if self._rotates and (arm := self._arm()) is not None:
-            # The method of an arm: the direction of its points, without the angle in between.
-            x, y, _ = arm.forward(X).T
-            return X, direction_of(x, y)
         if self._rotates and callable(self.azimuth):
-            azimuth = check_array(
-                self.azimuth(X), ensure_2d=False, allow_nd=True, input_name="azimuth"
-            )
-            if azimuth.shape != (X.shape[0],):
-                raise ValueError(
-                    f"azimuth must give one angle per row of X, shape ({X.shape[0]},), got shape "
-                    f"{azimuth.shape}."
-                )
-            return X, (np.cos(azimuth), np.sin(azimuth))
+            return X, direction_of(self.azimuth(X), X.shape[:1])
         return X, None
 
     def _get_regressor(self):
@@ -449,7 +437,6 @@ def _before_last(pipeline, X):
                 continue
             if (
                 type(step) is StandardScaler
-                and "n_features_in_" in vars(step)
                 and "_sklearn_output_config" not in vars(step)
                 and get_config()["transform_output"] == "default"
                 and is_plain(step, X)

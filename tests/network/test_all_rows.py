@@ -9,7 +9,8 @@ from mpmath import mp, mpf
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _centers, _fit
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._linear import prepare
+from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.network._search import Structure
 from sklearn_raacmm.utils import centred
 
@@ -140,12 +141,13 @@ def test_rows_with_constants_are_generalised_least_squares(rough):
 def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     A, y, _ = rough(600, 3, 5)
     weights = np.random.default_rng(0).uniform(0.5, 2, 600)
-    problem = prepare(merge(A, y[:, None], weights), 0)
+    problem = prepare(Rows(A, y[:, None], weights).merged(), 0)
     functions = Structure("matern32", np.array([0.5, 1.0, 2.0]), np.array([0.1]))
     share = _fit.share_of_parameters(problem, 0.1, functions, 600)
     Z = problem.rows.X / functions.length_scale
+    root = problem.block(problem.rows).root
     d = np.sqrt(3) * np.linalg.norm(Z[:, None] - Z, axis=2)
-    values = np.linalg.eigvalsh(problem.held.root * (1 + d) * np.exp(-d) * problem.held.root.T)
+    values = np.linalg.eigvalsh(root * (1 + d) * np.exp(-d) * root.T)
     assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
     # From samples of 100 and 200 rows: a little too large, and an upper bound once it is small.
     monkeypatch.setattr(_fit, "FIRST_SAMPLE", 100)

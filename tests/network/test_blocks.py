@@ -7,13 +7,13 @@ import pytest
 from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _read
+from sklearn_raacmm.network import _rows
 
 
 @pytest.fixture
 def few_in_memory(monkeypatch):
-    monkeypatch.setattr(_read, "HELD_ROWS", 600)
-    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_rows, "HELD_ROWS", 600)
+    monkeypatch.setattr(_rows, "IN_MEMORY_ROWS", 1000)
 
 
 def data(n=6000, seed=0):
@@ -64,8 +64,8 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
     settings |= {"random_state": 0, "shared": True}
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     # All rows are candidates here too, but seen through sums over blocks.
-    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
-    monkeypatch.setattr(_read, "HELD_ROWS", 3949)
+    monkeypatch.setattr(_rows, "IN_MEMORY_ROWS", 1000)
+    monkeypatch.setattr(_rows, "HELD_ROWS", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(blocks.center_indices_, whole.center_indices_)
     np.testing.assert_allclose(blocks.predict(X), whole.predict(X), atol=1e-9)
@@ -103,8 +103,7 @@ def test_rows_that_repeat_are_merged_where_they_all_fit(few_in_memory):
 def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     n = 200_000
     # Blocks as small beside this file as the usual ones are beside one that is worth a file.
-    monkeypatch.setattr("sklearn_raacmm.network._rows.SMALL_BLOCK", 2**16)
-    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 2**12)
+    monkeypatch.setattr(_rows, "SMALL_BLOCK", 2**16)
     rng = np.random.default_rng(0)
     X = np.memmap(tmp_path / "X", dtype=np.float64, mode="w+", shape=(n, 12))
     X[:] = rng.uniform(-1, 1, X.shape)
@@ -115,7 +114,7 @@ def test_rows_of_a_file_are_not_read_into_memory(tmp_path, monkeypatch):
     X, y = (np.memmap(f.filename, dtype=np.float64, mode="r", shape=f.shape) for f in (X, y))
     width = np.full(12, 1e3)
     width[0] = 0.7
-    monkeypatch.setattr(_read, "HELD_ROWS", 100)
+    monkeypatch.setattr(_rows, "HELD_ROWS", 100)
     model = RBFNetRegressor(8, length_scale=width, alpha=1e-3, random_state=0)
     tracemalloc.start()
     model.fit(X, y)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _read
+from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._linear import without_constants
 from sklearn_raacmm.utils import centred
 
@@ -74,7 +74,7 @@ def test_groups_that_cannot_be(monkeypatch):
     X, y, groups, _ = grouped_wave()
     with pytest.raises(ValueError, match="groups names 119 samples, but there are 120"):
         RBFNetRegressor().fit(X, y, groups=groups[1:])
-    monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(_rows, "IN_MEMORY_ROWS", 100)
     with pytest.raises(ValueError, match="at most 100 rows"):
         RBFNetRegressor().fit(X, y, groups=groups)
 

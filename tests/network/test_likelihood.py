@@ -22,7 +22,7 @@ def some_data(n=40, q=2, within=(0.1, 0.2), seed=0):
     Y = rng.standard_normal((n, q)).cumsum(axis=0)
     weights = rng.uniform(0.5, 2, n)
     lost = np.full((n, q), np.divide(within, n)[:q])
-    return Rows(rng.standard_normal((n, 3)), Y, np.arange(n), weights, lost, np.ones(n))
+    return Rows(rng.standard_normal((n, 3)), Y, weights, within=lost)
 
 
 THETA = np.array([0.1, 0.4, -0.2, -1.0, -3.0])

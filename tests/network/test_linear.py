@@ -1,5 +1,7 @@
 """The linear tail, its ridge and when it is chosen, against closed forms and linear models."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -8,11 +10,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend
+from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import likelihoods, log_likelihood
-from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._linear import RIDGES, Problem, linear_evidence, prepare
+from sklearn_raacmm.network._rows import Rows, distinct_rows
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -74,29 +76,30 @@ def test_full_network_is_the_posterior_with_linear_functions():
         assert model.noise_variance_[i] == pytest.approx(objective / (149 - 1 - 2), rel=1e-8)
 
 
-def test_rows_in_blocks_have_the_ridge_of_their_sample():
+def test_rows_in_blocks_have_the_ridge_of_their_sample(monkeypatch):
     X, Y = linear(400, 5, 2.0, q=2)
     Y[:, 1] *= 1e3
     weights = np.random.default_rng(0).uniform(0.5, 2, 400)
-    chunks = ArrayChunks(X, Y, weights)
-    n, weight, rows, _ = draw_rows(chunks, 5, 150, 1)
+    monkeypatch.setattr(_rows, "IN_MEMORY_ROWS", 300)
+    monkeypatch.setattr(_rows, "HELD_ROWS", 150)
+    rows, everywhere = distinct_rows(Rows(X, Y, weights), 5, np.random.RandomState(1))
     sample = prepare(rows, 1, ridged=True)
-    problem = extend(sample, chunks, n, weight, np.arange(2))
+    given = sample.polynomial, sample.tail_ridge
+    problem = Problem(rows, *given, everywhere=(*everywhere, np.arange(2)))
     assert problem.tail_ridge == sample.tail_ridge > 0
     for one in (problem, sample):
-        sums = one.reduce(
-            lambda block: (
-                block.basis.T @ block.basis,
-                block.basis.T @ block.targets,
-                np.square(block.targets).sum(axis=0),
-            ),
-            lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True)),
-            12,
+        total, gram, projection = one.reduce(
+            partial(products, one), lambda a, b: tuple(map(np.add, a, b)), 12
         )
-        np.testing.assert_allclose(sums[0], np.eye(6), atol=1e-10)
-        np.testing.assert_allclose(one.projection, sums[1], rtol=1e-8)
-        left = sums[2] - np.square(sums[1]).sum(axis=0)
+        np.testing.assert_allclose(gram, np.eye(6), atol=1e-10)
+        np.testing.assert_allclose(one.projection, projection, rtol=1e-8)
+        left = total - np.square(projection).sum(axis=0)
         np.testing.assert_allclose(one.n_total * one.spread**2, left, rtol=1e-8)
+
+
+def products(problem, block):
+    basis, targets = problem.basis(block), block.targets
+    return np.square(targets).sum(axis=0), basis.T @ basis, basis.T @ targets
 
 
 def test_a_given_ridge_leaves_the_linear_part_free():
@@ -110,7 +113,7 @@ def test_a_given_ridge_leaves_the_linear_part_free():
 def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
     X, Y = linear(30, 8, 1.0, q=2)
     weights = np.random.default_rng(2).uniform(0.5, 2, 30)
-    data = merge(X, Y - np.average(Y, axis=0, weights=weights), weights)
+    data = Rows(X, Y - np.average(Y, axis=0, weights=weights), weights).merged()
     X, Y, weights = data.X, data.Y, data.weights
     center = np.average(X, axis=0, weights=weights)
     Z = (X - center) / np.sqrt(np.average((X - center) ** 2, axis=0, weights=weights))
@@ -173,8 +176,8 @@ def test_no_linear_function_in_noise():
 
 
 def test_rows_in_blocks_may_be_linear_too(monkeypatch):
-    monkeypatch.setattr("sklearn_raacmm.network._read.IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr("sklearn_raacmm.network._read.HELD_ROWS", 150)
+    monkeypatch.setattr(_rows, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(_rows, "HELD_ROWS", 150)
     X, Y = linear(400, 2, 0.3, q=2)
     found = RBFNetRegressor(random_state=0).fit(X, Y)
     assert np.all(np.any(found.linear_coef_, axis=1))

@@ -88,6 +88,13 @@ def test_heavy_tails_are_named_with_what_helps():
     )
     np.testing.assert_array_equal(finding.rows, np.flatnonzero(far))
     assert "PowerTransformer" in finding.advice
+    # Rows are numbered as they were given, those without weight among them.
+    unused = np.ones(10)
+    with collected_findings() as found:
+        weights = np.append(0 * unused, np.ones(300))
+        again = RBFNetRegressor(random_state=0)
+        again.fit(np.vstack([X[:10] + 3, X]), np.append(unused, y), sample_weight=weights)
+    np.testing.assert_array_equal(found[0].rows, 10 + np.flatnonzero(far))
     # Errors that are not normal are something else.
     with collected_findings() as found:
         noise = 0.1 * rng.standard_t(3, 300)

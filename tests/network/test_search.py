@@ -9,19 +9,19 @@ from sklearn.linear_model import RidgeCV
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Task, minimise, objective
-from sklearn_raacmm.network._rows import merge
+from sklearn_raacmm.network._rows import Rows
 
 from ._data import smooth
 
 
 def data_of(X, y):
     Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
-    return merge(X, Y / Y.std(axis=0), np.ones(len(X)))
+    return Rows(X, Y / Y.std(axis=0), np.ones(len(X))).merged()
 
 
 def task_of(data, **changes):
     spread = data.X.std(axis=0)
-    return Task(spread, spread > 0, data.Y.shape[1])._replace(**changes)
+    return Task(spread, changes.pop("used", spread > 0), data.Y.shape[1], **changes)
 
 
 @pytest.mark.parametrize("constants", [False, True])

@@ -8,7 +8,7 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _likelihood
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import used_share
-from sklearn_raacmm.network._rows import merge
+from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import centred
 
 
@@ -26,7 +26,7 @@ def of_groups(seed, n_groups=8, n_each=12, common=0.0, own=1.0):
 def test_the_share_is_that_of_models_that_never_saw_a_group(ratio):
     X, y, groups = of_groups(0, 5, common=0.6, own=0.4)
     weights = np.random.default_rng(1).uniform(0.5, 2, len(y))
-    data = merge(X, np.column_stack([y, y**3]), weights, codes=groups)
+    data = Rows(X, np.column_stack([y, y**3]), weights, groups).merged()
     X, Y, w, codes = data.X, data.Y, data.weights, data.codes
     K = kernel_matrix(X, X, "gaussian")
     root, alphas = np.sqrt(w), (0.1, 0.5)
