@@ -55,7 +55,7 @@ from threadpoolctl import threadpool_limits
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _search
-from sklearn_raacmm.utils import collected_findings
+from sklearn_raacmm.utils import Finding
 
 OURS = ("RBFNet", "RBFNet, shared")
 # Rows from which three starts of the Gaussian process would take hours.
@@ -358,7 +358,7 @@ def uneven(args):
         X, y = draw(np.random.default_rng([seed, 7]), 1300)
         power = PowerTransformer().fit(y[:300, None])
         model = RBFNetRegressor(random_state=0)
-        with collected_findings() as said:
+        with Finding.collected() as said:
             model.fit(X[:300], y[:300])
         found = any(finding.code == "heavy-tails" for finding in said)
         plain = -norm.logpdf(y[300:], *model.predict(X[300:], return_std=True))

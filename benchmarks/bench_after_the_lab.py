@@ -51,11 +51,10 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
-from sklearn_raacmm.arm import solve
 from sklearn_raacmm.correction._change import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 NOISE_MM = 0.03
 # What has changed: joint from 0, arc seconds, and whether it is an eccentricity or an offset.
@@ -471,7 +470,7 @@ def mounted_robot(seed, up):
     groups = np.repeat(np.arange(12), 24)
     aim = robot.nominal.forward(start)[groups]
     near = start[groups] + rng.normal(0, 0.5, (len(groups), 6))
-    others, _ = solve(robot.nominal, aim, near)
+    others, _ = robot.nominal.solve(aim, near)
     found = np.isfinite(others[:, 0])
     X = np.vstack([rng.uniform(-2, 2, (300, 6)), others[found]])
     train = np.arange(len(X)) < 300
@@ -519,7 +518,7 @@ def named_alone(kind, model, known, others):
         phase = angles[:, None, joint, None] * np.array([1, 2])
         return turn * np.concatenate([np.cos(phase), np.sin(phase)], axis=2) if waves else turn
 
-    own = centred(columns(angles), np.unique(groups, return_inverse=True)[1])
+    own = Groups(np.unique(groups, return_inverse=True)[1]).centred(columns(angles))
     left = position_residuals(y - model.predict(angles), groups)
     coef = np.linalg.lstsq(own.reshape(left.size, -1), left.ravel(), rcond=None)[0]
     return repeatability_um(y_far - model.predict(far) - columns(far) @ coef, far_groups)

@@ -44,7 +44,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements._moved_positions import find_steps
-from sklearn_raacmm.utils import centred, collected_findings
+from sklearn_raacmm.utils import Finding, Groups
 
 CLEAR = 1e-4
 TYPICAL = ArmErrors()
@@ -225,7 +225,7 @@ def dwells(options):
         truth = test.points - test.simulation.true_points
         rng = np.random.default_rng(seed)
         for kind in ("cones", "tracker"):
-            found = [mean_deviation(centred(truth[new], test.groups[new] - 9))]
+            found = [mean_deviation(Groups(test.groups[new] - 9).centred(truth[new]))]
             for n in (1, 100):
                 rows = np.repeat(np.flatnonzero(train), n)
                 angles = test.data[rows] + (n > 1) * rng.normal(0, 5e-6, (len(rows), 6))
@@ -234,7 +234,7 @@ def dwells(options):
                 y = position_residuals(points, groups) if kind == "cones" else y
                 model = ArmResidualRegressor(test.arm).fit(angles, y, groups=groups)
                 left = truth[new] - model.predict(test.data[new])
-                found.append(mean_deviation(centred(left, test.groups[new] - 9)))
+                found.append(mean_deviation(Groups(test.groups[new] - 9).centred(left)))
             none, one, stream = 1e3 * np.array(found)
             print(f"{kind}, seed {seed}: none {none:.1f}, one row {one:.1f}, stream {stream:.1f}")
 
@@ -343,19 +343,19 @@ def found_in(name, run):
     def given(rows):
         return {"groups": groups[rows]} if points is None else {"points": points[rows]}
 
-    with collected_findings() as of_arm:
+    with Finding.collected() as of_arm:
         result = calibrate(arm, angles[first], **given(first), lengths=known)
     y = np.zeros((len(angles), 3))
     for half in (first, ~first):
         y[half] = result.residuals(angles[half], **given(half))
-    with collected_findings() as of_fit:
+    with Finding.collected() as of_fit:
         model = ArmResidualRegressor(result.arm)
         model.fit(angles[first], y[first], groups=given(first).get("groups"))
     new = np.flatnonzero(~first)[:60]
     labels = given(new).get("groups")
     found = {"calibrate": of_arm, "fit": of_fit}
     for what, sign in (("update", 1), ("wrong sign", -1)):
-        with collected_findings() as of_update:
+        with Finding.collected() as of_update:
             update_correction(model, angles[new], sign * y[new], groups=labels)
         found[what] = of_update
     return {what: {f.code for f in every if f.weight != "note"} for what, every in found.items()}

@@ -34,7 +34,7 @@ from sklearn_raacmm.metrics import (
     repeatability_interval,
     single_point_repeatability,
 )
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 def simulated(seed, mix="typical"):
@@ -195,7 +195,7 @@ def single_points(learned, machine, seed):
     """Deviations within positions over their standard deviations, by zone."""
     run = make_acceptance(["single-point"], machine=machine, random_state=seed + 1000).run
     points, std = learned.correct(run.angles, std_of="position")
-    z = centred(points, np.unique(run.position, return_inverse=True)[1]) / std
+    z = Groups(np.unique(run.position, return_inverse=True)[1]).centred(points) / std
     z *= np.sqrt(10 / 9)
     return {f"point {zone}": z[run.position == zone].ravel() for zone in np.unique(run.position)}
 

@@ -62,7 +62,7 @@ from sklearn_raacmm.datasets import (
     make_gauge,
     make_single_point,
 )
-from sklearn_raacmm.utils import ignored_findings
+from sklearn_raacmm.utils import Finding
 
 # Chains are fitted without groups: what they learn is not the question here.
 pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
@@ -818,7 +818,7 @@ def rbf(rows, y, new=None, weights=None, unknown=False, **params):
 
 
 def jhr(angles, y, weights=None, **params):
-    with ignored_findings():  # poses that are all the same show little
+    with Finding.ignored():  # poses that are all the same show little
         fit = ArmResidualRegressor(ARM, orders=2, **params).fit(angles, y, sample_weight=weights)
         return fit.predict(SMALL)
 

@@ -13,7 +13,7 @@ import numpy as np
 from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES, Readings
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.metrics import fit_sphere
-from sklearn_raacmm.utils import Finding, row_numbers
+from sklearn_raacmm.utils import Finding
 
 # Sizes that are off by more are of another artefact, mm; a calibrated arm is off by tenths.
 _OTHER_MM = 2.0
@@ -65,7 +65,7 @@ def find_faults(
 
 def _finding(readings, code, text, advice, rows: Any = slice(None), size_mm=None):
     """What is wrong with a test, of some of its readings or of all."""
-    rows, text = row_numbers(readings.rows[rows]), f"{readings.test}: {text}"
+    rows, text = Finding.row_numbers(readings.rows[rows]), f"{readings.test}: {text}"
     return Finding(code, text, advice, weight="repair", rows=rows, size_mm=size_mm)
 
 
@@ -232,7 +232,7 @@ def _slips(readings):
     far = off > limit
     if not far.any():
         return []
-    numbers = row_numbers(readings.rows[rows[far]])
+    numbers = Finding.row_numbers(readings.rows[rows[far]])
     text = (
         f"{far.sum()} readings are off by up to {off.max():.3g} mm, where "
         f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."

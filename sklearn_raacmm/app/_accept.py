@@ -46,7 +46,7 @@ from sklearn_raacmm.app._sources import (
 from sklearn_raacmm.app._tables import Layout, text_of_label
 from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.export import describe
-from sklearn_raacmm.utils import digest_of, numbered_rows, write_whole
+from sklearn_raacmm.utils import Finding, digest_of, write_whole
 
 OK, FAILED, NOT_JUDGED = 0, 3, 4
 _TABLES = ("readings", "artefacts", "limits", "sheet")
@@ -84,7 +84,7 @@ def accept(options):
     check_outputs(options, [out, options.dcc], [path / f"{name}.csv" for name in _TABLES])
     run, rows, entries, limits, digest = _read_run(path, left_arm)
     given = {"found": arm if saved else None, "limits": limits, "rule": options.rule}
-    with numbered_rows(rows):
+    with Finding.numbered(rows):
         result = evaluate_acceptance(run, left_arm, saved, **given)
     expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}

@@ -14,7 +14,7 @@ from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import check_outputs, load_arm, print_notes
 from sklearn_raacmm.app._given import Given, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import write_whole
 
@@ -150,7 +150,7 @@ def _calibrated_ur(nominal, deltas):
     added = [factor * np.array(deltas.get(name, n * [0.0])) for name, factor in fields.items()]
     table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
     names = {"name": nominal.name, "names": nominal.names, "limits": nominal.limits}
-    return read_far_axes(Arm, table, nominal.probe, **names)
+    return Arm.from_far_axes(table, nominal.probe, **names)
 
 
 def _arm_of_layout(options):
@@ -212,10 +212,10 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             raise TableError(f"{path}: the column {table.header[where[field]]!r} is in {unit}.")
         values[field] = np.multiply(_FACTORS[unit], values[field])
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
-    pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
-    if convention == "standard" and np.abs(values["d"]).max() > MAX_LENGTH_MM:
+    pose = Arm.usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
+    if convention == "standard" and np.abs(values["d"]).max() > Arm.MAX_LENGTH_MM:
         offsets = values.get("theta_offset", np.zeros(len(rows)))
         table = np.column_stack([values["a"], values["alpha"], values["d"], offsets])
         values = {field: values[field] for field in ("joint_signs", "names") if field in values}
-        return read_far_axes(Arm, table, probe, name=Path(path).stem, **values)
+        return Arm.from_far_axes(table, probe, name=Path(path).stem, **values)
     return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)

@@ -23,20 +23,11 @@ from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, ren
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.app._tables import named_first
 from sklearn_raacmm.app._terminal import Progress, in_words, print_scores, print_verdict, say
-from sklearn_raacmm.arm import without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.measurements import STILL_MM
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingError,
-    FindingWarning,
-    ignored_findings,
-    natural_order,
-    numbered_rows,
-    write_whole,
-)
+from sklearn_raacmm.utils import Finding, FindingError, FindingWarning, Groups, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
@@ -63,7 +54,7 @@ def _read(arm, options):
     text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
     Finding("slide-still", text, joints=(1,)).report()
     options.angles = options.angles and options.angles[1:]
-    return _read(without_first(arm), options)
+    return _read(arm.without_first(), options)
 
 
 def learn(options):
@@ -88,7 +79,7 @@ def learn(options):
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     # Everything is made before the first file gets its name; findings stand in the result.
-    with ignored_findings():
+    with Finding.ignored():
         report = write_report(result, facts=facts, row_numbers=table.rows)
         contents = corrected_file(given, result)
         card = describe(result.model, result.inputs(result.angles), groups=result.positions)
@@ -115,7 +106,7 @@ def _learnt(table, given, arm):
     options = given.options
     like = [load_correction(folder).model for folder in options.like or ()]
     show = nullcontext() if options.quiet else Progress(expected_seconds(len(table.angles)))
-    with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
+    with Finding.numbered(table.rows), warnings.catch_warnings(), show as progress:
         # Findings stand in the result, and are printed with it.
         warnings.simplefilter("ignore", FindingWarning)
         try:
@@ -284,7 +275,7 @@ def describe_plan(table, given, arm):
     if table.positions is not None:
         labels, counts = np.unique(table.positions, return_counts=True)
         rows = f"{counts.min()} to {counts.max()}" if np.ptp(counts) else f"{counts[0]}"
-        labels = labels[natural_order(labels)].tolist()
+        labels = labels[Groups.in_order(labels)].tolist()
         say(named_first(f"Positions: {len(labels)}, with {rows} rows each", labels))
         facts["positions"] = labels
     elif table.points is None:

@@ -14,7 +14,7 @@ import numpy as np
 from sklearn_raacmm.app._files import check_outputs, load_correction, print_notes
 from sklearn_raacmm.app._given import Given, find_cause_columns, find_unnamed_probe, in_rad
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
-from sklearn_raacmm.utils import numbered_rows
+from sklearn_raacmm.utils import Finding
 
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
@@ -74,7 +74,7 @@ def write_corrected(given, correction, file, std="all"):
         tools = given.labels(block, "tool")
         for tool in [None] if tools is None else np.unique(tools):
             rows = slice(None) if tool is None else tools == tool
-            with numbered_rows(block.rows[rows]):
+            with Finding.numbered(block.rows[rows]):
                 one = correction if tool is None else correction.with_tool(tool)
                 if std == "no":  # without standard deviations it takes less time
                     points = one.arm.forward(X[rows, : one.arm.n_joints])

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.app._files import parse_feature, parse_length, read_lengths, read_places
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
-from sklearn_raacmm.arm import scale_of
+from sklearn_raacmm.arm import JointTypes
 from sklearn_raacmm.measurements import within_turn
 
 # Options that `Layout` has under the same names.
@@ -75,7 +75,7 @@ class Given:
 def in_rad(table):
     """Joints of a table in rad, within one turn; and in mm, what slides."""
     types = table.joint_types or "R" * table.angles.shape[1]
-    factor = scale_of(types, np.pi / 180 if table.angle_unit == "deg" else 1.0)
+    factor = JointTypes(types).by_type(np.pi / 180 if table.angle_unit == "deg" else 1.0)
     return within_turn(table.angles * factor, types)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.app._columns import OF_TIMES
 from sklearn_raacmm.app._sources import TableError
-from sklearn_raacmm.arm import UR_NAMES
+from sklearn_raacmm.arm import Arm
 
 # Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
 # writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and
@@ -65,7 +65,7 @@ def _joints(table, n, joint_names, taken, slides):
     states = _joint_states(table, n)
     names = [states.get(i, "") for i in range(len(table.names))] if states else table.names
     # Of a table by hand, whose joints have no names, the order is known where a maker gives names.
-    every = [own for own in (joint_names or (), UR_NAMES) if len(own) == n]
+    every = [own for own in (joint_names or (), Arm.from_name("ur10").names) if len(own) == n]
     tried = [_by_names_of_joints(table, names, own) for own in every]
     if joints := next(filter(None, tried + _series(table, names, n) * bool(states)), None):
         shown = ", ".join(table.header[i] for i in joints)

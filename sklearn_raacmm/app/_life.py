@@ -22,7 +22,7 @@ from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import digest_of, ignored_findings, natural_order
+from sklearn_raacmm.utils import Finding, Groups, digest_of
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -244,7 +244,7 @@ def _check_distances(saved, today, measured, options):
     if saved.base is None or options.new_base:
         saved = saved.register(*measured, free=(), accept=options.accept)
     off = saved.residuals(today.angles, today.points)
-    with ignored_findings():  # of poses where little is known: the check has said so
+    with Finding.ignored():  # of poses where little is known: the check has said so
         correction = saved.model.predict(saved.inputs(today.angles))
     mean = [float(np.linalg.norm(y, axis=1).mean()) for y in (off, off - correction)]
     return dict(zip(_SIDES, mean, strict=True))
@@ -275,7 +275,7 @@ def _check_spread(saved, today, rate, advice):
     sides = saved.arm.forward(today.angles), saved.correct(today.angles)[0]
     before, after = (single_point_repeatability(p, today.positions, aggregate=None) for p in sides)
     labels = np.unique(today.positions)
-    for i in natural_order(labels):
+    for i in Groups.in_order(labels):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     n_poses = np.unique(today.positions, return_counts=True)[1]
     expected = highest_mean(saved.facts["positions"], n_poses, rate)
@@ -302,7 +302,7 @@ def _check_spread(saved, today, rate, advice):
 
 def _why_so_far(saved, today, limit):
     """What to do where points scatter by much: another probe, if one explains it."""
-    with ignored_findings(), contextlib.suppress(ValueError):
+    with Finding.ignored(), contextlib.suppress(ValueError):
         new = saved.register(today.angles, today.positions)
         left = single_point_repeatability(new.correct(today.angles)[0], today.positions)
         if left <= limit:

@@ -85,9 +85,9 @@ def _run(options):
         raise ValueError("--out is a folder here, and - is none: give its name.")
     module = importlib.import_module(f"sklearn_raacmm.app.{options.module}")
     if getattr(options, "accept", None):  # before anything is read, and in a dry run, too
-        from sklearn_raacmm.utils import check_accepted
+        from sklearn_raacmm.utils import Finding
 
-        check_accepted(options.accept)
+        Finding.check_accepted(options.accept)
     with contextlib.ExitStack() as stack:
         if getattr(options, "table", None) == "-":
             folder = stack.enter_context(tempfile.TemporaryDirectory())

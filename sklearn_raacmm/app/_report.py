@@ -24,7 +24,7 @@ from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.display import HarmonicDisplay, RepeatabilityDisplay
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import repeatability_interval
-from sklearn_raacmm.utils import natural_order, write_whole
+from sklearn_raacmm.utils import Groups, write_whole
 
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
@@ -214,7 +214,7 @@ def draw_svg(name, title, draw, *what):
 def draw_positions(figure, scores):
     """2S, also from forms, or mean deviation of each position, before and after."""
     figure.set_size_inches(7.2, 3.2)
-    order = natural_order(scores.table["position"])
+    order = Groups.in_order(scores.table["position"])
     RepeatabilityDisplay(
         before=scores.table["before"][order],
         after=scores.table["after"][order],

@@ -27,7 +27,7 @@ from sklearn_raacmm.app._joints import (
 from sklearn_raacmm.app._records import NUMBER
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.app._units import find_unit, mm_of_slide
-from sklearn_raacmm.arm import slides_of
+from sklearn_raacmm.arm import JointTypes
 from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
@@ -164,7 +164,7 @@ class Layout(Columns):
         self.others = {name: self.column(name, "others") for name in others}
         named = None if position is None else self.column(position, "--position")
         taken = {*self.point_columns, *self.others.values(), named}
-        self.types, slides = joint_types, slides_of(joint_types)
+        self.types, slides = joint_types, JointTypes(joint_types).slides
         self.angle_columns = find_joints(self, angles, joint_names, taken, slides)
         self.labelled, self.needed = labelled and points is None, needed
         self.position_column = named if labelled else None

@@ -49,12 +49,12 @@ def print_verdict(text, is_good):
 
 def print_scores(scores, rows_named="positions"):
     """Print what was measured at positions left out: the worst of them, means, and what else."""
-    from sklearn_raacmm.utils import natural_order  # here: sentences alone need no scikit-learn
+    from sklearn_raacmm.utils import Groups  # here: sentences alone need no scikit-learn
 
     table = scores.table
     worst = (-table["after"]).argsort(kind="stable")[:_MOST_ROWS]
     cells = [["", "points", "before", "after", "largest before", "after"]]
-    for i in (i for i in natural_order(table["position"]) if i in worst):
+    for i in (i for i in Groups.in_order(table["position"]) if i in worst):
         label = str(table["position"][i])
         label = label if len(label) <= _LABEL else f"{label[: _LABEL - 3]}..."
         values = (table[name][i] for name in ("before", "after", "before_max", "after_max"))

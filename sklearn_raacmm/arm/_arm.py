@@ -4,40 +4,46 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
+from numbers import Integral
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import check_scalar
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import DHTable, check_angles, floats
-from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import (
-    frame_poses,
-    joint_jacobian,
-    parameter_jacobian,
-    phase_factors,
-    points_of,
+from sklearn_raacmm.arm._checks import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    check_couplings,
+    check_direction,
+    check_limits,
+    check_names,
+    check_numbers,
+    check_pair,
+    check_types,
+    floats,
+    is_name,
 )
-from sklearn_raacmm.arm._solve import angles_for
-from sklearn_raacmm.arm._urdf import read_urdf, seen_from, write_into_urdf
+from sklearn_raacmm.arm._files import json_text, read_fields
+from sklearn_raacmm.arm._solve import ReachingChain
+from sklearn_raacmm.arm._urdf import fields_of_far_axes, read_urdf, seen_from, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
+# No scale of a rail is off by as much: it would be in another unit.
+_MOST_SCALE = 0.1
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
-_FIELDS = tuple(field.name for field in fields(DHTable))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Arm(DHTable):
+class Arm(ReachingChain):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value, equal and hashable by content. Lengths are in mm, angles in rad. Of joints
@@ -127,28 +133,64 @@ class Arm(DHTable):
     array([[-812. ,   15. ,  914.5]])
     """
 
-    if TYPE_CHECKING:  # what may be given; the fields say what it has become
+    MAX_LENGTH_MM, MIN_LENGTH_MM = MAX_LENGTH_MM, MIN_LENGTH_MM
 
-        def __init__(
-            self,
-            a: ArrayLike,
-            alpha: ArrayLike,
-            d: ArrayLike,
-            theta_offset: ArrayLike = 0.0,
-            *,
-            probe: ArrayLike = (0.0, 0.0, 0.0),
-            convention: str = "standard",
-            joint_signs: ArrayLike = 1,
-            pose_joints: Sequence[int] = (3, 4),
-            pose_frames: Sequence[int] = (2, 5),
-            name: str = "",
-            names: Sequence[str] = (),
-            limits: ArrayLike | None = None,
-            up: ArrayLike = (0.0, 0.0, 1.0),
-            couplings: Sequence[Sequence[int]] = (),
-            joint_types: str | Sequence[str] | None = None,
-            up_frame: int = 0,
-        ) -> None: ...
+    def __init__(
+        self,
+        a: ArrayLike,
+        alpha: ArrayLike,
+        d: ArrayLike,
+        theta_offset: ArrayLike = 0.0,
+        *,
+        probe: ArrayLike = (0.0, 0.0, 0.0),
+        convention: str = "standard",
+        joint_signs: ArrayLike = 1,
+        pose_joints: Sequence[int] = (3, 4),
+        pose_frames: Sequence[int] = (2, 5),
+        name: str = "",
+        names: Sequence[str] = (),
+        limits: ArrayLike | None = None,
+        up: ArrayLike = (0.0, 0.0, 1.0),
+        couplings: Sequence[Sequence[int]] = (),
+        joint_types: str | Sequence[str] | None = None,
+        up_frame: int = 0,
+    ) -> None:
+        lengths = check_numbers("a", a, None, "mm", MAX_LENGTH_MM)
+        n = lengths.size
+        types = check_types(joint_types, n)
+        vars(self).update(
+            a=lengths,
+            alpha=check_numbers("alpha", alpha, n, "rad", 2 * np.pi),
+            d=check_numbers("d", d, n, "mm", MAX_LENGTH_MM),
+            theta_offset=check_numbers("theta_offset", theta_offset, n, "rad", 2 * np.pi, True),
+            probe=check_numbers("probe", probe, 3, "mm", MAX_LENGTH_MM),
+            convention=convention,
+            joint_signs=check_numbers("joint_signs", joint_signs, n, "", 2, True),
+            # A table that turns in one joint has no two.
+            pose_joints=(1, 1) if n == 1 else check_pair("pose_joints", pose_joints, 1, n),
+            pose_frames=check_pair("pose_frames", pose_frames, 0, n),
+            name=name,
+            names=check_names(names, n),
+            limits=check_limits(limits, n),
+            up=check_direction("up", up),
+            couplings=check_couplings(couplings, n, types),
+            joint_types=types,
+            up_frame=int(check_scalar(up_frame, "up_frame", Integral, min_val=0, max_val=n)),
+        )
+        if np.any(np.abs(np.abs(self.joint_signs) - 1) > self.by_type(0.0, _MOST_SCALE)):
+            raise ValueError(
+                "joint_signs must be -1 or 1 each, or of a joint that slides within "
+                f"{_MOST_SCALE:.0%} of it, got {joint_signs!r:.60}."
+            )
+        check_option("convention", convention, ("standard", "modified"))
+        if not is_name(name):
+            raise ValueError(f"name must be a string of whole characters, got {name!r:.60}.")
+        longest = max(np.abs(one).max() for one in (self.a, self.d, self.probe))
+        if "P" not in types and not longest > MIN_LENGTH_MM:
+            raise ValueError(
+                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+                "length does not move its probe."
+            )
 
     # -- a value: equality, copies, representation ------------------------------------------
 
@@ -166,8 +208,10 @@ class Arm(DHTable):
     def __deepcopy__(self, memo: object) -> Self:
         return self
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _FIELDS}
+    def __setattr__(self, name: str, value: object = None) -> NoReturn:
+        raise AttributeError(f"an arm is a value: arm.replace({name}=...) makes another one.")
+
+    __delattr__ = __setattr__
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
@@ -227,6 +271,84 @@ class Arm(DHTable):
         <Arm 'with a ball': 7 joints, modified DH, probe (0, 0, 138) mm>
         """
         return Arm(**{**self.__getstate__(), **changes})
+
+    @staticmethod
+    def check(arm: object) -> None:
+        """Refuse what is no arm.
+
+        Parameters
+        ----------
+        arm : object
+            What was given for one.
+
+        Raises
+        ------
+        TypeError
+            If it is none.
+        """
+        if not isinstance(arm, Arm):
+            raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+
+    @classmethod
+    def or_default(
+        cls, arm: "Arm | None", owner: str, n_columns: int, extra: Sequence[str] = ()
+    ) -> "Arm":
+        """Return the arm itself; or, with a warning, the built-in arm CMM.
+
+        Parameters
+        ----------
+        arm : Arm or None
+            What an estimator was given.
+        owner : str
+            Name of the estimator, for the warning.
+        n_columns : int
+            Number of columns of X, which is to be that of the joints and of `extra`.
+        extra : sequence of str, default=()
+            Names of further columns.
+
+        Returns
+        -------
+        Arm
+
+        Raises
+        ------
+        ValueError
+            If there are more columns, or fewer.
+        """
+        if arm is None:
+            text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose "
+            text += "lengths are not those of your arm."
+            advice = f'Pass arm=, or arm=Arm.from_name("{_DEFAULT}") if you mean that one.'
+            Finding("built-in-arm", text, advice).report()
+            arm = cls.from_name(_DEFAULT)
+        cls.check(arm)
+        needed = f"the arm {arm!r} has {arm.n_joints} joints: one column of joint angles each is "
+        needed += "needed"
+        if extra:
+            needed = f"{arm.n_joints + len(extra)} are needed: the angles of {arm.n_joints} "
+            needed += f"joints, then {', '.join(map(repr, extra))}"
+        if n_columns != arm.n_joints + len(extra):
+            raise ValueError(f"X has {n_columns} columns, but {needed}.")
+        return arm
+
+    usual_pose = staticmethod(usual_pose)
+
+    # In this module, as its class: skops knows a method that a model holds by both.
+    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
+        """Azimuth of the probe about the base's z axis.
+
+        Parameters
+        ----------
+        angles, angle_unit
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            ``atan2(y, x)`` of the probe in rad, from -pi to pi.
+        """
+        points = self.forward(angles, angle_unit=angle_unit)
+        return np.arctan2(points[:, 1], points[:, 0])
 
     # -- constructors -----------------------------------------------------------------------
 
@@ -350,6 +472,29 @@ class Arm(DHTable):
             **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
         )
 
+    @classmethod
+    def from_far_axes(cls, table: Floats, probe: ArrayLike, **fields: Any) -> "Arm":
+        """Build an arm of a standard table whose `d` may be longer than any arm.
+
+        The common normal of two axes that are all but parallel may be a hundred metres away, as in
+        a UR's own calibration.
+
+        Parameters
+        ----------
+        table : ndarray of shape (n_joints, 4)
+            Rows `a`, `alpha`, `d` and `theta_offset`, mm and rad.
+        probe : array-like of shape (3,)
+            As in `Arm`, mm.
+        **fields : dict
+            The other parameters of `Arm`.
+
+        Returns
+        -------
+        Arm
+            In the modified convention, with the same axes, but those that are taken as parallel.
+        """
+        return cls(**fields_of_far_axes(table, probe), **fields)
+
     def seen_from(self, positioner: "Arm", base: ArrayLike) -> "Arm":
         """Put a positioner before the base: the arm as seen from the table that carries the part.
 
@@ -395,24 +540,29 @@ class Arm(DHTable):
         >>> arm.n_joints, arm.names[:3]
         (8, ('E2', 'E1', 'shoulder_pan_joint'))
         """
-        check_arm(positioner)
+        self.check(positioner)
         return seen_from(self, positioner, base)
 
-    def on_trial(self, **changes: object) -> Self:
-        """Change fields that nobody checks: for kinematics, many times a second.
-
-        Parameters
-        ----------
-        **changes : object
-            Fields as :meth:`replace` leaves them.
+    def without_first(self) -> "Arm":
+        """Return the arm behind its first joint, in the base that this joint carries.
 
         Returns
         -------
         Arm
         """
-        one = object.__new__(type(self))
-        vars(one).update(self.__getstate__() | changes)
-        return one
+        up = self.frames(np.zeros((1, self.n_joints)))[0, 1, :, :3].T @ self.up
+        changes: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
+        if self.up_frame:
+            changes = {"up_frame": self.up_frame - 1}
+        for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
+            changes[name] = getattr(self, name)[1:]
+        changes["limits"] = None if self.limits is None else self.limits[1:]
+        changes["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in self.couplings]
+        changes["pose_joints"] = tuple(np.subtract(self.pose_joints, 1))
+        changes["pose_frames"] = tuple(np.subtract(self.pose_frames, 1))
+        if min(changes["pose_joints"]) < 1 or min(changes["pose_frames"]) < 0:
+            changes |= usual_pose(self.n_joints - 1, False, self.convention)
+        return self.replace(**changes)
 
     # -- files ------------------------------------------------------------------------------
 
@@ -593,299 +743,9 @@ class Arm(DHTable):
             check_places([out])
         return _write_text(write_into_urdf(self, original, base, tip), out)
 
-    # -- joints: what is said of them, and what they may be -----------------------------------
-
-    def check_angles(self, angles: ArrayLike, angle_unit: str = "rad") -> Floats:
-        """Check joint angles as :meth:`forward` does.
-
-        Parameters
-        ----------
-        angles, angle_unit
-            As in :meth:`forward`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides.
-
-        Raises
-        ------
-        ValueError
-            As :meth:`forward`.
-        """
-        return check_angles(angles, self.joint_types, angle_unit)
-
-    def in_unit(self, angles: Floats, angle_unit: str) -> Floats:
-        """Joint angles in the unit asked for.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides; not checked.
-        angle_unit : {"rad", "deg"}
-            What is asked for.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, n_joints)
-            What slides is in mm with either.
-        """
-        return angles if angle_unit == "rad" else angles * self.by_type(180 / np.pi)
-
-    def phases(self, angles: Floats) -> Floats:
-        """Angles of which harmonics of each joint's error are sines and cosines.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides; not checked.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, n_joints)
-            In rad: the :meth:`own_angles`. For a joint that slides a turn is twice its travel, and
-            a multiple of 200 mm, so that whole numbers of waves have the pitches of usual screws
-            and racks.
-        """
-        own = self.own_angles(angles)
-        return own * phase_factors(self) if self.slides else own
-
-    def points_at(self, angles: Floats, probes: Floats | None = None) -> Floats:
-        """Position of the probe at angles that have been checked.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides.
-        probes : ndarray of shape (n_samples, 3), default=None
-            Vector of each row's probe in the last frame, mm. None: all rows have the arm's.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3)
-            In the base frame, mm.
-        """
-        return points_of(self, angles, probes)
-
-    def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
-        """Position of the probe, and its derivatives by the numbers of the table.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides; not checked.
-
-        Returns
-        -------
-        points : ndarray of shape (n_samples, 3)
-            In the base frame, mm.
-        derivatives : ndarray of shape (n_samples, 3, 4 * n_joints + 3)
-            By `a`, `alpha`, `d`, `theta_offset` and `probe`, mm per mm and mm per rad.
-        """
-        return parameter_jacobian(self, angles)
-
-    def random_poses(self, n: int, rng: np.random.Generator | None = None) -> Floats:
-        """Draw poses at random: any angles, and what slides within its limits.
-
-        Parameters
-        ----------
-        n : int
-            Number of poses.
-        rng : numpy.random.Generator, default=None
-            Draws them. None: the same poses each time.
-
-        Returns
-        -------
-        ndarray of shape (n, n_joints)
-            In rad, and mm of what slides, which goes 2 m to either side where it has no limits.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> Arm.from_name("ur10").random_poses(100).shape
-        (100, 6)
-        """
-        rng = np.random.default_rng(0) if rng is None else rng
-        low, high = self.spans
-        return rng.uniform(low, high, (n, self.n_joints))
-
-    # -- kinematics -------------------------------------------------------------------------
-
-    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
-        """Position of the probe, equation (1).
-
-        Parameters
-        ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles as the encoders give them; of joints that slide, mm.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of the angles. What slides is in mm with either.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3)
-            Probe points in the base frame, mm, float64.
-
-        Raises
-        ------
-        ValueError
-            If `angles` has another number of columns than the arm has joints, or holds NaN,
-            infinity or something that is not a number, or a slide is more than 100 m away.
-
-        Warns
-        -----
-        UserWarning
-            If an angle is more than two turns, or if all degrees are below 2 pi: most likely
-            another unit.
-        """
-        return points_of(self, self.check_angles(angles, angle_unit))
-
-    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
-        """Azimuth of the probe about the base's z axis.
-
-        Parameters
-        ----------
-        angles, angle_unit
-            As in :meth:`forward`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples,)
-            ``atan2(y, x)`` of the probe in rad, from -pi to pi.
-        """
-        points = self.forward(angles, angle_unit=angle_unit)
-        return np.arctan2(points[:, 1], points[:, 0])
-
-    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
-        """Pose of every frame in the base frame.
-
-        Parameters
-        ----------
-        angles, angle_unit
-            As in :meth:`forward`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, n_joints + 1, 3, 4)
-            ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
-        """
-        return frame_poses(self, self.check_angles(angles, angle_unit))
-
-    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
-        """Compute the derivative of the probe's position by each joint angle.
-
-        Parameters
-        ----------
-        angles, angle_unit
-            As in :meth:`forward`; the derivative is per rad in either case.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, 3, n_joints)
-            ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
-            vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
-        """
-        return joint_jacobian(self, self.check_angles(angles, angle_unit))
-
-    def angles_for(
-        self,
-        points: ArrayLike,
-        start: ArrayLike | None = None,
-        orientations: ArrayLike | None = None,
-        *,
-        angle_unit: str = "rad",
-    ) -> Floats:
-        """Joint angles that bring the probe to wanted points, by Newton's method.
-
-        Parameters
-        ----------
-        points : array-like of shape (n, 3)
-            In the base frame, mm.
-        start : array-like of shape (n, n_joints) or (1, n_joints), default=None
-            Poses to begin at: of all the angles that reach a point those near the start are taken,
-            within `limits` where the arm has some. None: zero, then 19 random poses.
-        orientations : array-like of shape (n, 3, 3), default=None
-            Rotation matrix that the last frame is to have in the base frame. None: any.
-        angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `start` and of what is returned.
-
-        Returns
-        -------
-        angles : ndarray of shape (n, n_joints)
-            ``forward`` of them are the points to 1e-6 mm; NaN where there are none.
-
-        Raises
-        ------
-        ValueError
-            If shapes do not fit, something is not a finite number, or an orientation no rotation.
-
-        Warns
-        -----
-        UserWarning
-            If points are not reached: how many, the first of them, and how near the probe came.
-
-        Examples
-        --------
-        >>> from sklearn_raacmm import Arm
-        >>> arm = Arm.from_name("ur10")
-        >>> pose = [[0.1, -1.0, 1.2, -0.5, -1.4, 0.3]]
-        >>> to_the_pose = arm.frames(pose)[:, -1, :, :3]
-        >>> arm.angles_for(arm.forward(pose), [[0, -1, 1, 0, -1, 0]], to_the_pose).round(6)
-        array([[ 0.1, -1. ,  1.2, -0.5, -1.4,  0.3]])
-        """
-        check_option("angle_unit", angle_unit, ("rad", "deg"))
-        if start is not None:
-            start = self.check_angles(start, angle_unit)
-        return self.in_unit(angles_for(self, points, start, orientations), angle_unit)
-
 
 def _write_text(text, path):
     """The text, written to a file where a path is given."""
     if path is not None:
         write_whole({path: text})
     return text
-
-
-def check_arm(arm: object) -> None:
-    """Refuse what is no arm."""
-    if not isinstance(arm, Arm):
-        raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
-
-
-def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Sequence[str] = ()) -> Arm:
-    """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM.
-
-    Refuses X without a column for each joint and each name in `extra`.
-    """
-    if arm is None:
-        text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose lengths "
-        text += "are not those of your arm."
-        advice = f'Pass arm=, or arm=Arm.from_name("{_DEFAULT}") if you mean that one.'
-        Finding("built-in-arm", text, advice).report()
-        arm = Arm.from_name(_DEFAULT)
-    check_arm(arm)
-    needed = f"the arm {arm!r} has {arm.n_joints} joints: one column of joint angles each is needed"
-    if extra:
-        needed = f"{arm.n_joints + len(extra)} are needed: the angles of {arm.n_joints} joints, "
-        needed += f"then {', '.join(map(repr, extra))}"
-    if n_columns != arm.n_joints + len(extra):
-        raise ValueError(f"X has {n_columns} columns, but {needed}.")
-    return arm
-
-
-def without_first(arm: Arm) -> Arm:
-    """The arm behind its first joint, in the base that this joint carries."""
-    n, turn = arm.n_joints - 1, arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, :3]
-    up = turn.T @ arm.up
-    fields: dict[str, object] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
-    if arm.up_frame:
-        fields = {"up_frame": arm.up_frame - 1}
-    for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
-        fields[name] = getattr(arm, name)[1:]
-    fields["limits"] = None if arm.limits is None else arm.limits[1:]
-    fields["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in arm.couplings]
-    joints, frames = (tuple(np.subtract(pair, 1)) for pair in (arm.pose_joints, arm.pose_frames))
-    pose: dict[str, object] = {"pose_joints": joints, "pose_frames": frames}
-    if min(joints) < 1 or min(frames) < 0:
-        pose = usual_pose(n, False, arm.convention)
-    return arm.replace(**fields, **pose)

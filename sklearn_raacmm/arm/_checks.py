@@ -3,15 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import KW_ONLY, dataclass
-from functools import cached_property
-from numbers import Integral
-
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils import check_scalar
 
-from sklearn_raacmm.utils import Finding, Floats, Weight, check_option, floats
+from sklearn_raacmm.utils import Finding, Weight, check_option, floats
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -21,156 +16,12 @@ _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
-# What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
-_TRAVEL_MM = 2000.0
-# No scale of a rail is off by as much: it would be in another unit.
-_MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # Largest departure of a matrix from a rotation.
 _ROTATION = 1e-5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
 MIN_LENGTH_MM = 1e-6
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class DHTable:
-    """The fields of an `Arm`, which says what they are, checked: each fault gets one sentence."""
-
-    a: Floats
-    alpha: Floats
-    d: Floats
-    theta_offset: Floats = 0.0  # type: ignore[assignment]
-    _: KW_ONLY
-    probe: Floats = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    convention: str = "standard"
-    joint_signs: Floats = 1  # type: ignore[assignment]
-    pose_joints: tuple[int, int] = (3, 4)
-    pose_frames: tuple[int, int] = (2, 5)
-    name: str = ""
-    names: tuple[str, ...] = ()
-    limits: Floats | None = None
-    up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
-    couplings: tuple[tuple[int, int, int], ...] = ()
-    joint_types: str = None  # type: ignore[assignment]
-    up_frame: int = 0
-
-    def __post_init__(self) -> None:
-        a = check_numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
-        n = a.size
-        alpha = check_numbers("alpha", self.alpha, n, "rad", 2 * np.pi)
-        types = check_types(self.joint_types, n)
-        checked = {
-            "a": a,
-            "alpha": alpha,
-            "d": check_numbers("d", self.d, n, "mm", MAX_LENGTH_MM),
-            "theta_offset": check_numbers(
-                "theta_offset", self.theta_offset, n, "rad", 2 * np.pi, True
-            ),
-            "probe": check_numbers("probe", self.probe, 3, "mm", MAX_LENGTH_MM),
-            "joint_signs": check_numbers("joint_signs", self.joint_signs, n, "", 2, True),
-            # A table that turns in one joint has no two.
-            "pose_joints": (1, 1) if n == 1 else check_pair("pose_joints", self.pose_joints, 1, n),
-            "pose_frames": check_pair("pose_frames", self.pose_frames, 0, n),
-            "names": check_names(self.names, n),
-            "limits": check_limits(self.limits, n),
-            "up": check_direction("up", self.up),
-            "couplings": check_couplings(self.couplings, n, types),
-            "joint_types": types,
-            "up_frame": int(
-                check_scalar(self.up_frame, "up_frame", Integral, min_val=0, max_val=n)
-            ),
-        }
-        off = np.abs(np.abs(checked["joint_signs"]) - 1)
-        if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
-            raise ValueError(
-                "joint_signs must be -1 or 1 each, or of a joint that slides within "
-                f"{_MOST_SCALE:.0%} of it, got {self.joint_signs!r:.60}."
-            )
-        check_option("convention", self.convention, ("standard", "modified"))
-        if not is_name(self.name):
-            raise ValueError(f"name must be a string of whole characters, got {self.name!r:.60}.")
-        lengths = (checked[field] for field in ("a", "d", "probe"))
-        if "P" not in types and not any(np.any(np.abs(one) > MIN_LENGTH_MM) for one in lengths):
-            raise ValueError(
-                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
-                "length does not move its probe."
-            )
-        for field, value in checked.items():
-            object.__setattr__(self, field, value)
-
-    @cached_property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return self.a.size
-
-    @cached_property
-    def slides(self) -> list[int]:
-        """Numbers, from 0, of the joints that slide."""
-        return slides_of(self.joint_types)
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """Lowest and highest angle of each joint (2, n_joints), rad or mm; infinite without one."""
-        if self.limits is None:
-            return np.full((2, self.n_joints), [[-np.inf], [np.inf]])
-        return self.limits.T
-
-    @property
-    def spans(self) -> np.ndarray:
-        """From where to where joints are taken to go, (2, n_joints): a turn; what a slide may."""
-        spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(self.a))
-        for i in self.slides:
-            limits = self.bounds[:, i]
-            known = np.isfinite(limits)
-            spans[:, i] = np.where(known, limits, (-_TRAVEL_MM, _TRAVEL_MM))
-            if known.sum() == 1:  # so far from the end that is known
-                end = 1 - int(np.argmax(known))
-                spans[end, i] = limits[1 - end] + (2 * end - 1) * 2 * _TRAVEL_MM
-        return spans
-
-    @cached_property
-    def reach_mm(self) -> float:
-        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
-        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
-        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
-
-    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
-        """Give a number for each joint: one to those that turn, one to those that slide.
-
-        Parameters
-        ----------
-        of_turns : float
-            For joints that turn.
-        of_slides : float, default=1.0
-            For joints that slide.
-
-        Returns
-        -------
-        ndarray of shape (n_joints,)
-        """
-        return scale_of(self.joint_types, of_turns, of_slides)
-
-    def own_angles(self, angles: np.ndarray) -> np.ndarray:
-        """Angle of each joint itself, of what the encoders give.
-
-        Parameters
-        ----------
-        angles : ndarray of shape (n_samples, n_joints)
-            In rad, and mm of what slides; not checked.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, n_joints)
-            The same where the arm has no `couplings`; else with the angles that are added.
-        """
-        if not self.couplings:
-            return angles
-        own = angles.copy()
-        for joint, other, factor in self.couplings:
-            own[:, joint - 1] += factor * angles[:, other - 1]
-        return own
 
 
 def check_types(value, n):
@@ -290,72 +141,72 @@ def check_pair(name, value, low, high):
     return tuple(pair.astype(int).tolist())
 
 
-def check_angles(angles: ArrayLike, joints: int | str, angle_unit: str) -> np.ndarray:
-    """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another.
+class JointTypes(str):
+    """A letter for each joint, such as "PRRRRRR": R where it turns, P where it slides."""
 
-    `joints` are how many there are, or the `joint_types` of an arm: what slides is in mm, whatever
-    the unit of the angles.
-    """
-    check_option("angle_unit", angle_unit, ("rad", "deg"))
-    angles = floats("angles", angles)
-    n_joints = joints if isinstance(joints, int) else len(joints)
-    if angles.ndim != 2 or angles.shape[1] != n_joints:
-        raise ValueError(
-            f"angles must have shape (n_samples, {n_joints}) for an arm of "
-            f"{n_joints} joints, got {angles.shape}."
-        )
-    if not len(angles):
-        return angles
-    if slides := slides_of(joints):
-        turned, mm = angles.copy(), angles[:, slides]
-        largest = np.abs(mm).max(axis=0)
-        if not np.all(largest <= MAX_LENGTH_MM):  # false for NaN, too
-            i = int(np.argmin(largest <= MAX_LENGTH_MM))
-            row = int(np.argmin(np.abs(mm[:, i]) <= MAX_LENGTH_MM))
+    __slots__ = ()
+
+    @property
+    def slides(self) -> list[int]:
+        """Numbers, from 0, of the joints that slide."""
+        return [i for i, kind in enumerate(self) if kind == "P"] if "P" in self else []
+
+    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
+        """A number for each joint, (n_joints,): of those that turn, and of those that slide."""
+        return np.where([kind == "P" for kind in self], of_slides, of_turns)
+
+    def check_angles(self, angles: ArrayLike, angle_unit: str) -> np.ndarray:
+        """Angles (n_samples, n_joints) as float64 in rad, and mm of what slides.
+
+        Warns where the unit is likely another.
+        """
+        check_option("angle_unit", angle_unit, ("rad", "deg"))
+        angles = floats("angles", angles)
+        if angles.ndim != 2 or angles.shape[1] != len(self):
             raise ValueError(
-                f"joint {slides[i] + 1} slides, and is at {mm[row, i]:g} mm in row {row}: a finite "
-                f"number of at most {MAX_LENGTH_MM:g} mm is needed."
+                f"angles must have shape (n_samples, {len(self)}) for an arm of "
+                f"{len(self)} joints, got {angles.shape}."
             )
-        turned[:, slides] = 0.0
-        turned = check_angles(turned, n_joints, angle_unit)
-        turned[:, slides] = mm
-        return turned
-    # Max and min carry NaN along: one pass each, and no mask of the size of the data.
-    if angle_unit == "rad" and max(angles.max(), -angles.min()) <= _WARN_RAD:  # false for NaN
-        return angles
-    largest = np.maximum(angles.max(axis=0), -angles.min(axis=0))
-    if not np.all(np.isfinite(largest)):
-        bad = np.argwhere(~np.isfinite(angles))
-        row, column = bad[0]
-        raise ValueError(
-            f"angles hold {len(bad)} NaN or infinite values; the first is "
-            f"{angles[row, column]} in row {row}, joint {column + 1}."
-        )
-    most, joint = float(largest.max()), int(largest.argmax()) + 1
-    at = f"(joint {joint})"
-    weight: Weight = "doubt"
-    if angle_unit == "rad":
-        text = f"angles reach {most:g} rad {at}, more than two turns:"
-        advice = 'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).'
-    elif most > _ABSURD_DEG:
-        text = f"angles reach {most:g} degrees {at}, more than ten turns:"
-        advice, weight = "are they counts of the encoders? Convert them to degrees.", "repair"
-    elif most < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
-        text = f"angles in degrees reach {most:g} only {at}:"
-        advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
-    else:
-        return np.deg2rad(angles)
-    Finding("angle-unit", text, advice, weight, joints=(joint,)).report()
-    return angles if angle_unit == "rad" else np.deg2rad(angles)
+        if not len(angles):
+            return angles
+        turned = angles
+        if slides := self.slides:
+            wrong = ~(np.abs(angles[:, slides]) <= MAX_LENGTH_MM)  # true for NaN, too
+            if wrong.any():
+                row, i = np.argwhere(wrong)[0]
+                raise ValueError(
+                    f"joint {slides[i] + 1} slides, and is at {angles[row, slides[i]]:g} mm in row "
+                    f"{row}: a finite number of at most {MAX_LENGTH_MM:g} mm is needed."
+                )
+            turned = angles * self.by_type(1.0, 0.0)
+        # Max and min carry NaN along: one pass each, and no mask of the size of the data.
+        if angle_unit == "rad" and max(turned.max(), -turned.min()) <= _WARN_RAD:  # false for NaN
+            return angles
+        largest = np.maximum(turned.max(axis=0), -turned.min(axis=0))
+        if not np.all(np.isfinite(largest)):
+            bad = np.argwhere(~np.isfinite(turned))
+            row, column = bad[0]
+            raise ValueError(
+                f"angles hold {len(bad)} NaN or infinite values; the first is "
+                f"{angles[row, column]} in row {row}, joint {column + 1}."
+            )
+        self._check_unit(largest, angle_unit)
+        return angles if angle_unit == "rad" else angles * self.by_type(np.pi / 180)
 
-
-def slides_of(joints: int | str) -> list[int]:
-    """Numbers, from 0, of the joints that slide, of how many there are or their types."""
-    if isinstance(joints, int) or "P" not in joints:  # nearly all, and a pose takes 20 us
-        return []
-    return [i for i, kind in enumerate(joints) if kind == "P"]
-
-
-def scale_of(types: str, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
-    """A number for each joint, (n_joints,): one for those that turn, one for those that slide."""
-    return np.where([kind == "P" for kind in types], of_slides, of_turns)
+    def _check_unit(self, largest, angle_unit):
+        """Report angles, of which these (n_joints,) are the largest, that seem of another unit."""
+        most, joint = float(largest.max()), int(largest.argmax()) + 1
+        weight: Weight = "doubt"
+        if angle_unit == "rad":
+            text = f"angles reach {most:g} rad (joint {joint}), more than two turns:"
+            advice = "if they are degrees, convert them or pass "
+            advice += 'angle_unit="deg" (raacmm: --unit deg).'
+        elif most > _ABSURD_DEG:
+            text = f"angles reach {most:g} degrees (joint {joint}), more than ten turns:"
+            advice, weight = "are they counts of the encoders? Convert them to degrees.", "repair"
+        elif most < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
+            text = f"angles in degrees reach {most:g} only (joint {joint}):"
+            advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
+        else:
+            return
+        Finding("angle-unit", text, advice, weight, joints=(joint,)).report()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import DHTable
+from sklearn_raacmm.arm._kinematics import Chain
 
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
@@ -46,7 +46,7 @@ def read_fields(source: object) -> tuple[dict[str, Any], str]:
     return {field: content[key] for field, key in keys.items()}, where
 
 
-def json_text(arm: DHTable) -> str:
+def json_text(arm: Chain) -> str:
     """Text of an arm as JSON, with the units in the names of the fields."""
     content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
     for field, key in _JSON_KEYS.items():

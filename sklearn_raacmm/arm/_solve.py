@@ -4,20 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import DHTable, are_rotations
-from sklearn_raacmm.arm._kinematics import (
-    axis_vectors,
-    by_given_angles,
-    frame_poses,
-    joint_axes,
-    points_of,
-)
-from sklearn_raacmm.utils import floats, warn_user
+from sklearn_raacmm.arm._checks import are_rotations
+from sklearn_raacmm.arm._kinematics import Chain
+from sklearn_raacmm.utils import Floats, check_option, floats, warn_user
+
+Correction = Callable[[Floats, np.ndarray], tuple[Floats, Floats | None]]
 
 # Points are within this of the wanted ones, mm; an orientation's error counts times the reach.
 _REACHED_MM = 1e-7
@@ -32,87 +29,182 @@ _LEAST_RATIO, _NEAR_MM = 1e-4, 0.1
 _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
 
 
-def angles_for(
-    arm: DHTable,
-    points: ArrayLike,
-    start: np.ndarray | None,
-    orientations: ArrayLike | None,
-    correction: Callable | None = None,
-) -> np.ndarray:
-    """See `Arm.angles_for`; angles and starts (n or 1, n_joints) in rad, correction as below."""
-    points = floats("points", points, 3)
-    turns = None if orientations is None else _check_orientations(orientations, len(points))
-    low, high = arm.bounds
-    if start is not None and len(start) not in (1, len(points)):
-        raise ValueError(
-            f"start has {len(start)} poses for {len(points)} points: give one, or one each."
-        )
-    rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
-    first, last = np.clip(arm.spans, low, high)  # limits may be beyond half a turn
-    aside = _ASIDE * arm.by_type(1.0, arm.reach_mm)
-    angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
-    open_ = np.arange(len(points))
-    for again in range(_STARTS if start is None else _TRIES):
-        if start is None:
-            own = rng.uniform(first, last) * (again > 0)
-        else:
-            own = start + rng.normal(0, aside, shape) * (again > 0)
-        own, rows = np.broadcast_to(own, shape)[open_], open_
-        wanted = None if turns is None else turns[open_]
-        of_rows = correction and (lambda q, k, rows=rows: correction(q, rows[k]))
-        reached, left = solve(arm, points[open_], own, wanted, of_rows)
-        nearer = left[:, 0] < off[open_, 0]
-        off[open_[nearer]] = left[nearer]
-        angles[open_] = reached
-        open_ = open_[np.isnan(reached[:, 0])]
-        if not len(open_):
-            break
-    if len(open_):
-        mm, rad = off[open_[0]]
-        turned = f" and {np.rad2deg(rad):.3g} degrees" if orientations is not None else ""
-        warn_user(
-            f"{len(open_)} of {len(points)} points are not reached: first that of row {open_[0]}, "
-            f"to which the probe came as near as {mm:.3g} mm{turned}. Their angles are NaN."
-        )
-    return angles
+class ReachingChain(Chain):
+    """A chain with the other way round: see `Arm`."""
 
+    def angles_for(
+        self,
+        points: ArrayLike,
+        start: ArrayLike | None = None,
+        orientations: ArrayLike | None = None,
+        *,
+        angle_unit: str = "rad",
+        correction: Correction | None = None,
+    ) -> Floats:
+        """Joint angles that bring the probe to wanted points, by Newton's method.
 
-def solve(
-    arm: DHTable,
-    points: np.ndarray,
-    start: np.ndarray,
-    orientations: np.ndarray | None = None,
-    correction: Callable | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n, n_joints) in rad of poses whose corrected probe is at given points (n, 3) in mm.
+        Parameters
+        ----------
+        points : array-like of shape (n, 3)
+            In the base frame, mm.
+        start : array-like of shape (n, n_joints) or (1, n_joints), default=None
+            Poses to begin at: of all the angles that reach a point those near the start are taken,
+            within `limits` where the arm has some. None: zero, then 19 random poses.
+        orientations : array-like of shape (n, 3, 3), default=None
+            Rotation matrix that the last frame is to have in the base frame. None: any.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `start` and of what is returned.
+        correction : callable, default=None
+            What is to be taken off the arm's points, as models of its errors predict it: of angles
+            (m, n_joints) in rad and the numbers of their points, (m, 3) mm, and the rotation
+            vectors to be taken off the orientations, (m, 3) rad, or None. None: nothing.
 
-    And, where wanted, whose last frame has given orientations (n, 3, 3). `correction` takes angles
-    (m, n_joints) in rad and the numbers of their rows; it gives what is to be subtracted from the
-    arm's points, (m, 3) mm, and the rotation vectors that are to be taken off its orientations,
-    (m, 3) rad. A row that is not reached has NaN; the second value returned is how far off each row
-    was, (n, 2) in mm and rad.
-    """
-    low, high = arm.bounds
-    angles, off = np.clip(start, low, high), np.zeros((len(points), 2))
-    open_ = np.arange(len(points))
-    for _ in range(_ROUNDS):
-        aim, turned = points[open_], None if orientations is None else orientations[open_]
-        if correction is not None:
-            shift, turn = correction(angles[open_], open_)
-            aim = aim + shift
+        Returns
+        -------
+        angles : ndarray of shape (n, n_joints)
+            ``forward`` of them are the points to 1e-6 mm; NaN where there are none.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, something is not a finite number, or an orientation no rotation.
+
+        Warns
+        -----
+        UserWarning
+            If points are not reached: how many, the first of them, and how near the probe came.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("ur10")
+        >>> pose = [[0.1, -1.0, 1.2, -0.5, -1.4, 0.3]]
+        >>> to_the_pose = arm.frames(pose)[:, -1, :, :3]
+        >>> arm.angles_for(arm.forward(pose), [[0, -1, 1, 0, -1, 0]], to_the_pose).round(6)
+        array([[ 0.1, -1. ,  1.2, -0.5, -1.4,  0.3]])
+        """
+        check_option("angle_unit", angle_unit, ("rad", "deg"))
+        points = floats("points", points, 3)
+        turns = None if orientations is None else _check_orientations(orientations, len(points))
+        start = None if start is None else self.check_angles(start, angle_unit)
+        if start is not None and len(start) not in (1, len(points)):
+            raise ValueError(
+                f"start has {len(start)} poses for {len(points)} points: give one, or one each."
+            )
+        rng, shape = np.random.default_rng(0), (len(points), self.n_joints)
+        first, last = np.clip(self.spans, *self.bounds)  # limits may be beyond half a turn
+        aside = _ASIDE * self.by_type(1.0, self.reach_mm)
+        angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
+        open_ = np.arange(len(points))
+
+        def of_open(angles, rows, correction: Any = correction):
+            return correction(angles, open_[rows])
+
+        for again in range(_STARTS if start is None else _TRIES):
+            if start is None:
+                own = rng.uniform(first, last) * (again > 0)
+            else:
+                own = start + rng.normal(0, aside, shape) * (again > 0)
+            wanted = None if turns is None else turns[open_]
+            own = np.broadcast_to(own, shape)[open_]
+            angles[open_], left = self.solve(points[open_], own, wanted, correction and of_open)
+            nearer = left[:, 0] < off[open_, 0]
+            off[open_[nearer]] = left[nearer]
+            open_ = open_[np.isnan(angles[open_, 0])]
+            if not len(open_):
+                break
+        if len(open_):
+            mm, rad = off[open_[0]]
+            turned = f" and {np.rad2deg(rad):.3g} degrees" if orientations is not None else ""
+            warn_user(
+                f"{len(open_)} of {len(points)} points are not reached: first that of row "
+                f"{open_[0]}, to which the probe came as near as {mm:.3g} mm{turned}. Their angles "
+                "are NaN."
+            )
+        return self.in_unit(angles, angle_unit)
+
+    def solve(
+        self,
+        points: Floats,
+        start: Floats,
+        orientations: Floats | None = None,
+        correction: Correction | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Joint angles that bring the probe to points on the way from one start, without a warning.
+
+        Parameters
+        ----------
+        points, orientations, correction
+            As of :meth:`angles_for`; not checked.
+        start : ndarray of shape (n, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        angles : ndarray of shape (n, n_joints)
+            In rad, and mm of what slides. A row that is not reached has NaN.
+        off : ndarray of shape (n, 2)
+            How far off each row was in the end, mm and rad.
+        """
+        low, high = self.bounds
+        angles, off = np.clip(start, low, high), np.zeros((len(points), 2))
+        open_ = np.arange(len(points))
+        for _ in range(_ROUNDS):
+            aim, turned = points[open_], None if orientations is None else orientations[open_]
+            if correction is not None:
+                shift, turn = correction(angles[open_], open_)
+                aim = aim + shift
+                if turned is not None:
+                    turned = Rotation.from_rotvec(turn).as_matrix() @ turned
+            gap = self._gaps(aim, turned, angles[open_])
+            off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)
+            off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / self.reach_mm
+            going = np.linalg.norm(gap, axis=1) > _REACHED_MM
+            open_, aim = open_[going], aim[going]
+            if not len(open_):
+                break
+            turned = None if turned is None else turned[going]
+            angles[open_] = self._bare(aim, turned, angles[open_])
+        angles[open_] = np.nan
+        return angles, off
+
+    def _gaps(self, aim, turned, angles):
+        """What is left to go, (n, 3) mm, and to orientations times the reach, (n, 6)."""
+        gap = aim - self.points_at(angles)
+        if turned is None:
+            return gap
+        own = self.frames_at(angles)[:, -1, :, :3]
+        left = Rotation.from_matrix(turned @ own.swapaxes(1, 2)).as_rotvec()
+        return np.hstack([gap, self.reach_mm * left])
+
+    def _bare(self, aim, turned, angles):
+        """The same for the arm without a correction, by shortest steps."""
+        (low, high), moves = self.bounds, self.joint_axes
+        n_turns = 3 * (self.n_joints + 1)
+        about = moves % n_turns + n_turns
+        unit = self.by_type(1.0, self.reach_mm)  # of a slide: as large as one radian
+        angles, open_ = angles.copy(), np.arange(len(aim))
+        for _ in range(_STEPS):
+            own = angles[open_]
+            gap = self._gaps(aim[open_], None if turned is None else turned[open_], own)
+            going = np.linalg.norm(gap, axis=1) > _REACHED_MM / 10
+            open_, own, gap = open_[going], own[going], gap[going]
+            if not len(open_):
+                break
+            vectors = self.axis_vectors(own)[0]
+            jacobian = self.by_given_angles(vectors[:, :, moves] * unit)
             if turned is not None:
-                turned = Rotation.from_rotvec(turn).as_matrix() @ turned
-        gap = _gaps(arm, aim, turned, angles[open_])
-        off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)
-        off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / arm.reach_mm
-        going = np.linalg.norm(gap, axis=1) > _REACHED_MM
-        open_, aim = open_[going], aim[going]
-        if not len(open_):
-            break
-        turned = None if turned is None else turned[going]
-        angles[open_] = _bare(arm, aim, turned, angles[open_], low, high)
-    angles[open_] = np.nan
-    return angles, off
+                axes = self.by_given_angles(vectors[:, :, about] * self.by_type(1.0, 0.0))
+                jacobian = np.concatenate([jacobian, self.reach_mm * axes], axis=1)
+            # A joint at its limit that is pushed further does not help.
+            step = _shortest(jacobian, gap)
+            stuck = ((own <= low) & (step < 0)) | ((own >= high) & (step > 0))
+            if stuck.any():
+                step = _shortest(jacobian * ~stuck[:, None], gap)
+            size = np.abs(step).max(axis=1, keepdims=True)
+            step *= _LARGEST_STEP / np.maximum(size, _LARGEST_STEP)
+            angles[open_] = np.clip(own + step * unit, low, high)
+        return angles
 
 
 def _check_orientations(orientations, n):
@@ -130,46 +222,6 @@ def _check_orientations(orientations, n):
             f"{wrong[0]}: {turns[wrong[0]].round(6).tolist()}."
         )
     return turns
-
-
-def _gaps(arm, aim, turned, angles):
-    """What is left to go, (n, 3) mm, and where orientations are wanted times the reach, (n, 6)."""
-    gap = aim - points_of(arm, angles)
-    if turned is None:
-        return gap
-    own = frame_poses(arm, angles)[:, -1, :, :3]
-    left = Rotation.from_matrix(turned @ own.swapaxes(1, 2)).as_rotvec()
-    return np.hstack([gap, arm.reach_mm * left])
-
-
-def _bare(arm, aim, turned, angles, low, high):
-    """The same for the arm without a correction, by shortest steps."""
-    moves, turns = joint_axes(arm), arm.by_type(1.0, 0.0)
-    n_turns = 3 * (arm.n_joints + 1)
-    about = moves % n_turns + n_turns
-    unit = arm.by_type(1.0, arm.reach_mm)  # of a slide: as large as one radian
-    angles, open_ = angles.copy(), np.arange(len(aim))
-    for _ in range(_STEPS):
-        own = angles[open_]
-        gap = _gaps(arm, aim[open_], None if turned is None else turned[open_], own)
-        going = np.linalg.norm(gap, axis=1) > _REACHED_MM / 10
-        open_, own, gap = open_[going], own[going], gap[going]
-        if not len(open_):
-            break
-        vectors = axis_vectors(arm, own)[0]
-        jacobian = by_given_angles(arm, vectors[:, :, moves] * unit)
-        if turned is not None:
-            axes = by_given_angles(arm, vectors[:, :, about] * turns)
-            jacobian = np.concatenate([jacobian, arm.reach_mm * axes], axis=1)
-        # A joint at its limit that is pushed further does not help.
-        step = _shortest(jacobian, gap)
-        stuck = ((own <= low) & (step < 0)) | ((own >= high) & (step > 0))
-        if stuck.any():
-            step = _shortest(jacobian * ~stuck[:, None], gap)
-        size = np.abs(step).max(axis=1, keepdims=True)
-        step *= _LARGEST_STEP / np.maximum(size, _LARGEST_STEP)
-        angles[open_] = np.clip(own + step * unit, low, high)
-    return angles
 
 
 def _shortest(jacobian, gap):

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import math
-from collections.abc import Iterable
 from functools import reduce
 from itertools import accumulate
 from os import PathLike
@@ -24,8 +23,8 @@ from sklearn_raacmm.arm._chain import (
     warn_of_losses,
     with_probe,
 )
-from sklearn_raacmm.arm._checks import DHTable, are_rotations
-from sklearn_raacmm.arm._kinematics import frame_poses
+from sklearn_raacmm.arm._checks import are_rotations
+from sklearn_raacmm.arm._kinematics import Chain
 from sklearn_raacmm.utils import Finding, floats, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -79,13 +78,8 @@ def read_urdf(cls: Any, source: str | PathLike[str], base: str | None, tip: str 
     return arm, placed, joints, mount, text, where
 
 
-def read_far_axes(cls: Any, table: np.ndarray, probe: Iterable[float], **fields: object) -> Any:
-    """Arm of a standard table whose `d` may be longer than any arm.
-
-    The common normal of two axes that are all but parallel may be a hundred metres away, as in a
-    UR's own calibration. `table` has rows a, alpha, d and theta offset, mm and rad. The axes are
-    the same, but those that are taken as parallel, and the arm is of the modified convention.
-    """
+def fields_of_far_axes(table: np.ndarray, probe: ArrayLike) -> dict[str, Any]:
+    """Fields of a modified table of the axes of a standard one: see `Arm.from_far_axes`."""
     frame, at, directions, points = np.eye(4), np.zeros(3), [], []
     for a, alpha, d, offset in table:
         u, origin = frame[:3, 2], frame[:3, 3]
@@ -93,9 +87,8 @@ def read_far_axes(cls: Any, table: np.ndarray, probe: Iterable[float], **fields:
         directions.append(u)
         points.append(at)
         frame = frame @ pose_of((0, 0, d), (0, 0, offset)) @ pose_of((a, 0, 0), (alpha, 0, 0))
-    tip = (frame @ [*probe, 1.0])[:3]
-    own, _ = _fields_of_axes(directions, points, tip, [False] * len(points))
-    return cls(**own, **fields)
+    tip = (frame @ np.append(probe, 1.0))[:3]
+    return _fields_of_axes(directions, points, tip, [False] * len(points))[0]
 
 
 def _fields_of_axes(directions, points, tip, slides):
@@ -110,7 +103,7 @@ def _fields_of_axes(directions, points, tip, slides):
     return {**table, **own, "probe": probe, "convention": "modified"}, placed
 
 
-def seen_from(arm: Any, positioner: DHTable, base: ArrayLike) -> Any:
+def seen_from(arm: Any, positioner: Chain, base: ArrayLike) -> Any:
     """The arm and the positioner that carries its part as one arm: see `Arm.seen_from`."""
     pose, m = floats("base", base, finite=True), positioner.n_joints
     if pose.shape != (4, 4) or np.any(pose[3] != [0, 0, 0, 1]) or not are_rotations(pose[:3, :3]):
@@ -152,7 +145,7 @@ def seen_from(arm: Any, positioner: DHTable, base: ArrayLike) -> Any:
 
 
 def write_into_urdf(
-    arm: DHTable, original: str | PathLike[str], base: str | None, tip: str | None
+    arm: Chain, original: str | PathLike[str], base: str | None, tip: str | None
 ) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
@@ -222,7 +215,7 @@ def _axis_frames(arm):
 def _frames_at_zero(arm):
     """All frames of the table at zero angles, (n + 1, 4, 4)."""
     frames = np.tile(np.eye(4), (arm.n_joints + 1, 1, 1))
-    frames[:, :3] = frame_poses(arm, np.zeros((1, arm.n_joints)))[0]
+    frames[:, :3] = arm.frames_at(np.zeros((1, arm.n_joints)))[0]
     return frames
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from sklearn_raacmm.arm import FIELDS, Arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration._checks import (
     check_correction,
     check_measured,
@@ -26,15 +26,7 @@ from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._result import CalibrationResult
 from sklearn_raacmm.calibration._worth import result_of
 from sklearn_raacmm.measurements import Measurements, find_poses, within_turn
-from sklearn_raacmm.utils import (
-    Finding,
-    are_findings_ignored,
-    listed,
-    one_blas_thread,
-    one_warning,
-    param_checks,
-    stage,
-)
+from sklearn_raacmm.utils import Finding, listed, one_blas_thread, one_warning, param_checks, stage
 
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
@@ -74,7 +66,7 @@ def calibrate(
     features: Iterable[Sequence[object]] = (),
     tip_diameter: float = 0.0,
     correction: object = None,
-    free: Iterable[str] = FIELDS,
+    free: Iterable[str] = Arm.TABLE,
     loss: str = "soft_l1",
     prior_length_mm: float | str = "auto",
     prior_angle_rad: float | str = "auto",
@@ -193,8 +185,8 @@ def calibrate(
     True
     """
     free = listed("free", free)
-    if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
+    if not all(isinstance(name, str) and name in Arm.TABLE for name in free):
+        raise ValueError(f"free must name some of {', '.join(Arm.TABLE)}, got {free!r:.60}.")
     asked: Any = angles.angles if isinstance(angles, Measurements) else angles
     asked = None if correction is None else check_correction(correction, asked, angle_unit, arm)
     if groups is not None and points is not None:
@@ -233,7 +225,7 @@ def calibrate(
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
     result = result_of(fit, before_all, before)
-    if not are_findings_ignored():
+    if not Finding.are_ignored():
         for finding in chain(findings_of_fit(fit, result, bare), outliers(result)):
             finding.report()
     return result

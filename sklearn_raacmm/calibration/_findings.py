@@ -12,7 +12,7 @@ from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
 from sklearn_raacmm.calibration._worth import covariance_of
 from sklearn_raacmm.measurements import Explanation, base_motions, moved_positions
-from sklearn_raacmm.utils import Finding, row_numbers
+from sklearn_raacmm.utils import Finding
 
 # Standard deviations by which a parameter is off the table: once in 1.7 million by chance.
 _SDS_OFF = 5.0
@@ -263,6 +263,6 @@ def outliers(result):
             text,
             advice,
             "doubt" if many else "note",
-            rows=row_numbers(rows),
+            rows=Finding.row_numbers(rows),
             size_mm=far,
         )

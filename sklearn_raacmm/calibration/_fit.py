@@ -11,10 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.arm import FIELDS
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
-from sklearn_raacmm.utils import align, centred, chunks, robust_scale, slip_factors, summing
+from sklearn_raacmm.utils import Groups, align, chunks, robust_scale
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds
@@ -83,7 +83,7 @@ class Fit:
     """
 
     def __init__(
-        self, arm, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM),
+        self, arm, problem, loss, free=Arm.TABLE, priors=("auto", "auto", UNKNOWN_PLACE_MM),
         correction=None,
     ):  # fmt: skip
         self.nominal_arm, self.problem, self.angles = arm, problem, problem.angles
@@ -94,7 +94,7 @@ class Fit:
         n, n_groups = len(self.angles), self.index.max() + 1
         # Blocks of rows, and what sums up the rows of each position in them.
         self.blocks = chunks(n, _BLOCK)
-        self.summing = [summing(self.index[part], None, n_groups) for part in self.blocks]
+        self.summing = [Groups(self.index[part], n_groups).matrix() for part in self.blocks]
         self.correct(correction)
         self.slides, every = arm.slides, np.arange(arm.n_joints)
         self.turning = np.setdiff1d(every, self.slides)
@@ -116,8 +116,8 @@ class Fit:
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
         arm, slides, problem = self.nominal_arm, self.slides, self.problem
         probes = in_brackets(problem.tool_labels, self.n_tools)
-        self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
-        table = np.concatenate([getattr(arm, name) for name in FIELDS[:-1]])
+        self.names = [f"{f}{i + 1}" for f in Arm.TABLE[:-1] for i in range(arm.n_joints)]
+        table = np.concatenate([getattr(arm, name) for name in Arm.TABLE[:-1]])
         is_length = np.array([not name.startswith(ANGLES) for name in self.names])
         of_slides = np.isin(np.arange(len(table)) % arm.n_joints, slides)
         # Where a slide stands says nothing of how long links are.
@@ -125,7 +125,7 @@ class Fit:
         kind = np.where(size >= _LONG_SHARE * size.max(), "length_mm", "short_length_mm")
         kind = np.where(is_length, kind, "angle_rad").astype(object)
         kind[of_slides] = np.where(is_length, "slide_mm", "slide_rad")[of_slides]
-        is_free = np.repeat(np.isin(FIELDS[:-1], list(self.free)), arm.n_joints).tolist()
+        is_free = np.repeat(np.isin(Arm.TABLE[:-1], list(self.free)), arm.n_joints).tolist()
         self.names += [f"scale{i + 1}" for i in slides]
         self.names += [f"probe_{axis}{label}" for label in probes for axis in "xyz"]
         self.kind = np.r_[kind, ["slide_scale"] * len(slides), ["probe_mm"] * 3 * len(probes)]
@@ -190,7 +190,7 @@ class Fit:
         """Weights of the rows by what they touched, without slips; None for measured points."""
         if self.problem.features:
             return self.problem.touched.weights(self.points())
-        return None if self.n_stations else slip_factors(self.points(), self.index)
+        return None if self.n_stations else Groups(self.index).slip_factors(self.points())
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -208,7 +208,7 @@ class Fit:
         signs = np.sign(self.nominal_arm.joint_signs)
         signs[self.slides] *= scales
         parts.append(probes[3 * tool :][:3])
-        return dict(zip(FIELDS, parts, strict=True)) | {"joint_signs": signs}
+        return dict(zip(Arm.TABLE, parts, strict=True)) | {"joint_signs": signs}
 
     def run(self, is_free=None):
         """Alternate least squares, and the weights and variances they imply, until they settle."""
@@ -547,7 +547,7 @@ class Fit:
             weights = np.ones(len(points)) if weights is None else weights
             return problem.touched.linearised(points, weights).residual
         if not self.n_stations:
-            return centred(points, problem.index, weights)
+            return Groups(problem.index).centred(points, weights)
         for s in range(self.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]

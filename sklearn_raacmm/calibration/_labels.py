@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
 from sklearn_raacmm.measurements import Explanation
-from sklearn_raacmm.utils import Finding, group_means, row_numbers
+from sklearn_raacmm.utils import Finding, Groups
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
 # the right places (``tests/calibration/test_labels.py``).
@@ -62,7 +62,7 @@ def _other_labels(points, codes, far, sigma):
     near = ~far & (np.bincount(codes[~far], minlength=codes.max() + 1)[codes] > 1)
     if near.any() and far.any():
         known = np.unique(codes[near])
-        centres = group_means(points[near], np.searchsorted(known, codes[near]))
+        centres = Groups(np.searchsorted(known, codes[near])).means(points[near])
         apart = cdist(points[far], centres)
         is_there = apart.min(axis=1) < _one_place_mm(centres, sigma, _PRICE_OF_ROW, len(known))
         found[far] = np.where(is_there, known[apart.argmin(axis=1)], codes[far])
@@ -97,7 +97,7 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
         sigma = result.outlier_limit_mm / _LIMIT_SDS
         yield from _wrong_labels(fit, right, labels, numbers, far, sigma)
         yield from _no_readings(fit.angles, far, numbers)
-        centres = group_means(fit.points(), fit.index, fit.weights)
+        centres = Groups(fit.index).means(fit.points(), fit.weights)
         yield from _same_places(centres, labels, fit.sigma)
 
 
@@ -138,7 +138,7 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
         pair = left[(codes[left] == right[i]) & (right[left] == codes[i])]
         if i in left and len(pair):
             left = np.setdiff1d(left, [i, pair[0]])
-            first, second = row_numbers(numbers[[i, pair[0]]])
+            first, second = Finding.row_numbers(numbers[[i, pair[0]]])
             parts.append(f"rows {first} and {second} look exchanged")
     for given, place in np.unique(np.column_stack([codes, right])[left], axis=0):
         of = left[(codes[left] == given) & (right[left] == place)]
@@ -153,7 +153,7 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
         "Mend the labels of these rows.",
         "repair" if many else "doubt",
         positions=tuple(labels[np.unique(codes[rows])]),
-        rows=row_numbers(numbers[rows]),
+        rows=Finding.row_numbers(numbers[rows]),
     )
 
 
@@ -164,7 +164,7 @@ def _no_readings(angles, far, numbers):
         named = _in_words(numbers[rows])
         text = f"The angles of {named} have one value in every joint, far from their places."
         advice = "They are no readings of the encoders, and are not learnt from: leave them out."
-        yield Finding("no-reading", text, advice, rows=row_numbers(numbers[rows]))
+        yield Finding("no-reading", text, advice, rows=Finding.row_numbers(numbers[rows]))
 
 
 def _same_places(centres, labels, sigma):
@@ -188,6 +188,6 @@ def _same_places(centres, labels, sigma):
 
 def _in_words(rows):
     """The first of some rows by their numbers, and how many there are."""
-    named = [str(number) for number in row_numbers(rows[:_NAMED])]
+    named = [str(number) for number in Finding.row_numbers(rows[:_NAMED])]
     more = f" and {len(rows) - _NAMED} more" * (len(rows) > _NAMED)
     return f"row{'s' * (len(rows) > 1)} {', '.join(named)}{more}"

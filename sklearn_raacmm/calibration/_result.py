@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements import Features
-from sklearn_raacmm.utils import Finding, Floats, centred, encode_groups, floats, slip_factors
+from sklearn_raacmm.utils import Finding, Floats, Groups, floats
 
 # What the names of parameters that are angles begin with.
 ANGLES = ("alpha", "theta", "base_r")
@@ -243,12 +243,12 @@ class CalibrationResult:
         for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
             shown[rows] = arm.forward(angles[rows])
         if groups is not None:
-            labels, codes = encode_groups(groups, len(angles))
+            labels, codes = Groups.encoded(groups, len(angles))
             named = labels.tolist()
             if self.features:
                 given = [one for one in self.features if one[0] in named]
                 return Features.stated(given, named, codes).linearised(shown).residual
-            return centred(shown, codes, slip_factors(shown, codes))
+            return Groups(codes).centred(shown, Groups(codes).slip_factors(shown))
         points = floats("points", points, 3)
         if len(points) != len(angles):
             raise ValueError(f"There are {len(points)} points, but {len(angles)} rows of angles.")
@@ -271,7 +271,7 @@ class CalibrationResult:
                 raise ValueError(f"The calibration has {len(known)} {name}: give {name}=labels.")
             yield slice(None), single
             return
-        found, codes = encode_groups(labels, n, name)
+        found, codes = Groups.encoded(labels, n, name)
         for i, label in enumerate(found.tolist()):
             if label not in known:
                 raise ValueError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.calibration._fit import rows_of
 from sklearn_raacmm.measurements import Explanation, base_motions, best_split
-from sklearn_raacmm.utils import Finding, row_numbers
+from sklearn_raacmm.utils import Finding
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
 # does (``benchmarks/bench_check.py set-ups``; parts of the real UR10 show up to 0.41).
@@ -70,7 +70,7 @@ def _moved_in(own, left, columns, ridge, root, effects, numbers):
     size = np.linalg.norm(effects[what][own[row:]] @ move, axis=1).mean()
     if share < _SHARE + usual or _jump(left[own], rest[own], row) < _JUMP or size < _LEAST_MM:
         return
-    before, after = row_numbers(numbers[own[[row - 1, row]]])
+    before, after = Finding.row_numbers(numbers[own[[row - 1, row]]])
     moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
     text = f"The measured points jump beside the arm's, as if {moved} had moved by {size:.3g} mm"
     advice = f"Give each part a label of its own, {what}=labels, or measure again."

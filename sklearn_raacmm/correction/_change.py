@@ -37,7 +37,7 @@ from sklearn_raacmm.error_model import (
     order_price,
     smooth_shares,
 )
-from sklearn_raacmm.utils import Finding, centred, ignored_findings, one_blas_thread
+from sklearn_raacmm.utils import Finding, Groups, one_blas_thread
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
@@ -157,7 +157,7 @@ class Change:
         of_label = np.searchsorted(labels, self.positions) % len(labels)
         fold = (order % min(_N_FOLDS, len(labels)))[of_label]
         correction, doubts = expected.mean.copy(), expected.doubts.copy()
-        with ignored_findings():  # what there is to report is reported of all poses
+        with Finding.ignored():  # what there is to report is reported of all poses
             for number in range(fold.max() + 1):
                 out = fold == number
                 rest = expected.at(~out & used)
@@ -293,7 +293,7 @@ def doubts_of(linear, angles, codes=None):
     has in common with others is halved between them, so that all shares are 1 together.
     """
     half = linear.gauge_free_half
-    columns = centred(linear.columns(angles), codes)
+    columns = Groups(codes).centred(linear.columns(angles))
     shares = np.einsum("ncp,ncp->p", columns, columns @ half @ half.T)
     part, place = np.unique(with_names(linear, parts_of(linear)), return_inverse=True)
     shares = np.bincount(place, shares) / max(shares.sum(), 1e-300)

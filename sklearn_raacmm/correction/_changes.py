@@ -23,7 +23,7 @@ from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Expected, place_columns, slipped_rows
 from sklearn_raacmm.error_model import Rows
 from sklearn_raacmm.measurements import Explanation
-from sklearn_raacmm.utils import group_means
+from sklearn_raacmm.utils import Groups
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
 _ORDERS = (1, 2)
@@ -162,7 +162,7 @@ def causes_of(rows: Rows) -> dict[str, np.ndarray]:
     points = arm.forward(angles)
     if codes is not None:  # a position is one point: what it shows about it is no scale
         held = np.reshape(rows.rank, (-1, 1)) == 3
-        points = np.where(held, group_means(points, codes)[codes], points)
+        points = np.where(held, Groups(codes).means(points)[codes], points)
     causes["scale"] = points[:, :, None]
     for j in range(arm.n_joints):
         causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]

@@ -27,17 +27,7 @@ from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, p
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, Rows, judge, shoulder as _shoulder
 from sklearn_raacmm.measurements import Measurements, given_causes, position_residuals
-from sklearn_raacmm.utils import (
-    Finding,
-    Floats,
-    align,
-    check_accepted,
-    check_option,
-    encode_groups,
-    ignored_findings,
-    listed,
-    one_warning,
-)
+from sklearn_raacmm.utils import Finding, Floats, Groups, align, check_option, listed, one_warning
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
@@ -320,7 +310,7 @@ class Correction:
             the largest first; empty where no model of causes is in use.
         """
         X = self.inputs(self.arm.check_angles(angles, angle_unit))
-        codes = None if positions is None else encode_groups(positions, len(X))[1]
+        codes = None if positions is None else Groups.encoded(positions, len(X))[1]
         linear = linear_in_use(self.model)
         return {} if linear is None else doubts_of(linear, X, codes)
 
@@ -364,7 +354,7 @@ class Correction:
             As :func:`check_correction`.
         """
         given = angles, positions, points, lengths, extra, angle_unit, features, tip_diameter
-        check_accepted(accept)  # a registration alone looks at them
+        Finding.check_accepted(accept)  # a registration alone looks at them
         measured = self._measured(*given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self
@@ -433,7 +423,7 @@ class Correction:
         by_points = measured.points is not None
         found_before = linear_in_use(model) is not None and linear.shown_by is None
         if "probe" in free and found_before and not (by_points and linear.offsets):
-            with ignored_findings():  # of poses as if the probe were the old one
+            with Finding.ignored():  # of poses as if the probe were the old one
                 expected = self._expected(measured, X)[2]
             if named_changes(expected, ["base"], -_SAME_PROBE_NATS, only=["probe"]) == []:
                 free.remove("probe")
@@ -707,7 +697,7 @@ class Correction:
         if measured.points is not None:
             return self.residuals(measured.angles, measured.points), {}
         points = self.arm.forward(measured.angles)
-        with ignored_findings():  # of a correction that is not in use
+        with Finding.ignored():  # of a correction that is not in use
             corrected = points - self.model.predict(self.inputs(measured.angles, measured.extra))
         today = for_centres(measured, corrected)
         return position_residuals(points, today["groups"], features=today["features"]), today

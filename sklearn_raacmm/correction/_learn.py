@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
@@ -25,16 +25,7 @@ from sklearn_raacmm.correction._table_search import (
 )
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import Measurements, drift_of, moved_positions, within_turn
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingError,
-    call_collecting,
-    encode_groups,
-    listed,
-    numbered_rows,
-    param_checks,
-    row_numbers,
-)
+from sklearn_raacmm.utils import Finding, FindingError, Groups, listed, param_checks
 
 _CONSTRAINTS = {
     "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
@@ -221,7 +212,7 @@ def learn_correction(
 
     def measured():
         """What was measured, of a single-point test without labels at the places of its points."""
-        check_arm(arm)
+        Arm.check(arm)
         given: dict[str, Any] = {"points": points, "lengths": lengths, "tools": tools}
         given |= {"stations": stations, "extra": extra}
         given |= {"features": features, "tip_diameter": tip_diameter}
@@ -239,7 +230,7 @@ def learn_correction(
         data = Data(arm, measured(), like, blocks)
         calibration = _calibrated(data, raw[0], angle_unit, accept)
         if codes and "mirror-image" not in listed("accept", accept):
-            with numbered_rows(row_numbers(data.rows)):
+            with Finding.numbered(Finding.row_numbers(data.rows)):
                 ask_for_the_hand(given_arm, arm, *data.as_given(raw[0]), angle_unit)
         data, outliers = data.seen_by(calibration).beside_a_model(calibration)
         folds = folds_of(data, outliers, cv)
@@ -257,7 +248,7 @@ def learn_correction(
             )
         return data, calibration, scores, fitted, noise
 
-    (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
+    (data, calibration, scores, fitted, noise), findings = Finding.of_call(inside, accept)
     if (linear := getattr(fitted, "linear_model_", None)) is not None:
         fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd_corrected)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
@@ -286,7 +277,7 @@ def _say_what_moved(data, calibration, model, rows):
         for finding in moved_positions(*own):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
-    codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
+    codes = None if data.points is not None else Groups.encoded(data.positions[rows])[1]
     for finding in drift_of(calibration.arm, data.angles[rows], left, codes):
         finding.report()
 
@@ -300,7 +291,7 @@ def _calibrated(data, angles, angle_unit, accept):
     for finding in calibration.findings:
         if finding.code == "wrong-label" and finding.weight == "repair":
             raise FindingError(finding)
-    with numbered_rows(row_numbers(data.rows)):
+    with Finding.numbered(Finding.row_numbers(data.rows)):
         if data.points is not None and data.stations is None:
             finding = shifted_rows(data.arm, data.angles, data.points)
             if finding is not None:

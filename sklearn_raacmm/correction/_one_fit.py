@@ -14,20 +14,12 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import Features, order_explained_by
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingError,
-    align,
-    encode_groups,
-    ignored_findings,
-    last_step_of,
-    listed,
-)
+from sklearn_raacmm.utils import Finding, FindingError, Groups, align, last_step_of, listed
 
 # Regions that a tracker's poses are judged at, and poses of one: enough for an interval, and few
 # enough to read.
@@ -88,7 +80,7 @@ class Data:
             if given_too and self.like:
                 raise ValueError(f"like and {what} cannot be given together.")
         if blocks is not None:
-            names, of_block = encode_groups(blocks, len(pose), "blocks")
+            names, of_block = Groups.encoded(blocks, len(pose), "blocks")
             blocks = names[of_block][self.rows]
         self.positions, self.places = labels[codes], None
         self.tools = named(measured.tools, measured.tool_labels)
@@ -98,7 +90,7 @@ class Data:
             # Stations have frames of their own, and the arm's points one.
             near = self.points if self.stations is None else arm.forward(self.angles)
             self.positions, self.places = _judged_at(of_poses, near, blocks)
-        self.causes, self.values = _causes(arm, measured, encode_groups(self.positions)[1])
+        self.causes, self.values = _causes(arm, measured, Groups.encoded(self.positions)[1])
         self.joined = []
         if blocks is not None:
             of_blocks = [np.unique(self.positions[blocks == name]) for name in np.unique(blocks)]
@@ -139,7 +131,7 @@ class Data:
         """
         own = slice(None)
         if self.stations is not None:
-            codes = encode_groups(self.stations)[1]
+            codes = Groups.encoded(self.stations)[1]
             own = codes == np.bincount(codes).argmax()
         positions = self.positions if self.points is None else None
         points = None if self.points is None else self.points[own]
@@ -175,7 +167,7 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def calibrate(self, rows=None, accept=(), free=FIELDS):
+    def calibrate(self, rows=None, accept=(), free=Arm.TABLE):
         """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
         measured = self.measured if rows is None else self.measured.at(rows)
         return calibrate(self.arm, measured, accept=accept, free=free)
@@ -186,7 +178,7 @@ class Data:
 
     def _touched(self, rows):
         """Labels of these rows, and the `Features` that they name."""
-        labels, codes = encode_groups(self.positions[rows])
+        labels, codes = Groups.encoded(self.positions[rows])
         return labels, Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
 
     def _about_forms(self, points, rows, robust):
@@ -272,7 +264,7 @@ class Data:
         if not (len(far) or several):
             return seen, far
         rows, lonely = self.without_lonely()
-        with ignored_findings():  # what there is to report is reported of the rows that are learnt
+        with Finding.ignored():  # what there is to report is reported of the rows that are learnt
             y = self.residuals(calibration, rows)
             low = ArmResidualRegressor(orders=_LOW_ORDERS)
             model = self._fitted(low, calibration, rows, y, [], judged=False)
@@ -390,7 +382,7 @@ def _judged_at(positions, points, blocks):
     """
     why = "there are no labels of positions"
     if positions is not None:
-        codes = encode_groups(positions)[1]
+        codes = Groups.encoded(positions)[1]
         if np.mean(np.bincount(codes)[codes] > 1) >= _SHARED:
             return positions, None
         why = "the labels of positions name single poses"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import Arm, check_arm, solve
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import Floats
 
@@ -100,7 +100,7 @@ def plan_poses(
     >>> bool(np.abs(arm.forward(plan.angles) - plan.positions[plan.groups - 1]).max() < 1e-6)
     True
     """
-    check_arm(arm)
+    Arm.check(arm)
     check_scalar(n_positions, "n_positions", Integral, min_val=1 if bar_mm is None else 2)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng = check_random_state(random_state)
@@ -168,7 +168,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     size = (_STARTS * n_poses, arm.n_joints)
     start = rng.uniform(*np.clip(arm.spans, low, high), size)
     aim = np.broadcast_to(place, (len(start), 3))
-    found, _ = solve(arm, aim, start)
+    found, _ = arm.solve(aim, start)
     found = found[~np.isnan(found[:, 0])]
     if lean_deg is not None and len(found):
         found = found[_stands(arm, found, place, lean_deg)]

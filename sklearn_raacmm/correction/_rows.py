@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model import (
     touched_rows,
 )
 from sklearn_raacmm.measurements import Measurements, base_motions, check_length
-from sklearn_raacmm.utils import encode_groups, floats, listed, medians_of
+from sklearn_raacmm.utils import Groups, floats, listed
 
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
@@ -76,7 +76,7 @@ def new_rows(
             what = "lengths are between" if lengths else "features are labels of"
             raise ValueError(f"{what} positions: give groups, the position of each pose.")
         return Rows(arm, X, residuals, weights, None)
-    labels, codes = encode_groups(groups, len(residuals))
+    labels, codes = Groups.encoded(groups, len(residuals))
     known = [check_length(entry, labels.tolist()) for entry in lengths]
     of_touches: dict[str, Any] = {}
     if features:
@@ -277,7 +277,7 @@ def slipped_rows(expected: Expected, left: np.ndarray) -> tuple[np.ndarray, np.n
     rank = rows.rank
     sd = np.sqrt(np.square(expected.std).max(axis=1) + expected.linear.noise_variance)
     # Touches of a surface are about their form already.
-    middle = np.where(np.reshape(rank, (-1, 1)) == 3, medians_of(left, rows.codes), 0.0)
+    middle = np.where(np.reshape(rank, (-1, 1)) == 3, Groups(rows.codes).medians(left), 0.0)
     distance = np.linalg.norm(rows.along(left - middle), axis=1) / sd
     far = distance > chi.isf(_FALSE_NAMES / len(left), rank)
     slipped = far & (far.sum() <= _MOST_SLIPS * len(left))

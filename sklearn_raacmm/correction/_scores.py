@@ -13,7 +13,7 @@ from scipy import stats
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import Finding, Floats, group_means, ignored_findings, natural_order
+from sklearn_raacmm.utils import Finding, Floats, Groups
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
@@ -133,7 +133,7 @@ class CorrectionScores:
         of_points = f"{self.measure} before, mm", "after", "maximum before", "after"
         cells = [["position", "points", *of_points]]
         rows = list(zip(*self.table.values(), strict=True))
-        for i in natural_order(self.table["position"]):
+        for i in Groups.in_order(self.table["position"]):
             cells.append([*map(str, rows[i][:2]), *(f"{value:.4f}" for value in rows[i][2:])])
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [self.verdict]
@@ -271,7 +271,7 @@ def folds_of(data, outliers, cv):
 def _one_fold(data, model, train, test):
     """Deviations as given, before, after, and standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
-    with ignored_findings():  # whatever there is to say is said of all rows
+    with Finding.ignored():  # whatever there is to say is said of all rows
         known = np.sort(np.r_[train, lonely])
         calibration = data.calibrate(known)
         as_given = data.calibrate(known, free=["probe"])
@@ -299,7 +299,7 @@ def _table(data, before, after):
     for when, left in zip(_WHEN, (before, after), strict=True):
         size = np.linalg.norm(left, axis=1)
         maxima[f"{when}_max"] = np.array([size[own].max() for own in by_position])
-        table[when] = group_means(size[rows], codes)
+        table[when] = Groups(codes).means(size[rows])
         if data.points is None:
             table[when] = single_point_repeatability(left[rows], codes, aggregate=None)
     return table | maxima, by_position

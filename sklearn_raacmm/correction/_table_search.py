@@ -11,17 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, carried, check_arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import with_found_zeros
-from sklearn_raacmm.utils import (
-    Finding,
-    align,
-    centred,
-    encode_groups,
-    ignored_findings,
-    row_numbers,
-)
+from sklearn_raacmm.utils import Finding, Groups, align
 
 # Rows that candidates are ranked on, how many are then looked at, and how many of each hand of them
 # are calibrated: for speed. With all numbers here the tables of
@@ -114,7 +107,7 @@ class TableChange:
         return said
 
 
-@ignored_findings()  # of the wrong tables, nearly all have something to be said
+@Finding.ignored()  # of the wrong tables, nearly all have something to be said
 def search_table(
     arm: Arm,
     angles: ArrayLike,
@@ -168,7 +161,7 @@ def search_table(
     >>> search_table(wrong, test.data, test.groups).change
     'joint 4 reversed'
     """
-    check_arm(arm)
+    Arm.check(arm)
     given = _calibrated(arm, angles, positions, points, angle_unit).typical_scatter_mm
     raw = np.asarray(angles, dtype=float)
     points = None if points is None else np.asarray(points, dtype=float)
@@ -234,7 +227,7 @@ def _rarer_changes(arm, measured, others):
     """
     angles, positions, points, unit = measured
     n, as_given = len(angles), _changed(arm, unit)
-    codes: Any = None if positions is None else encode_groups(positions, n)[1]
+    codes: Any = None if positions is None else Groups.encoded(positions, n)[1]
 
     def left(row):  # where from this row on the base, or all cones, are elsewhere
         late = np.arange(n) >= row
@@ -247,7 +240,7 @@ def _rarer_changes(arm, measured, others):
         rows = np.unique(np.linspace(_FEWEST_ROWS, n - _FEWEST_ROWS, _SPLITS).astype(int)).tolist()
         k = rows.index(min(rows, key=left))
         row = min(range(rows[max(k - 1, 0)], rows[min(k + 1, len(rows) - 1)] + 1), key=left)
-        late, (before, behind) = np.arange(n) >= row, row_numbers([row - 1, row])
+        late, (before, behind) = np.arange(n) >= row, Finding.row_numbers([row - 1, row])
         what, word, labels = "tracker", "--station", {"stations": late}
         if points is None:
             what, word, labels = "cones", "--position", {"positions": 2 * codes + late}
@@ -280,7 +273,7 @@ def _rarer_changes(arm, measured, others):
 def _few_rows(n, positions, points):
     """Some of n rows, for speed, the codes of their positions, and their points."""
     if points is None:  # whole positions, as many as fit
-        codes = encode_groups(positions, n)[1]
+        codes = Groups.encoded(positions, n)[1]
         rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
         return rows, codes[rows], None
     rows = np.linspace(0, n - 1, min(n, _RANKED_ROWS)).astype(int)  # some from everywhere
@@ -292,7 +285,7 @@ def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
 
     `measured` are angles, positions, points and the unit of the angles: "zeros" are found there.
     """
-    check_arm(arm)
+    Arm.check(arm)
     if code == "zeros":
         angles, positions, points, unit = measured
         if positions is None and points is None:
@@ -379,9 +372,9 @@ def _with_questions(ones, angles):
     high, low = np.argmax(heights[0]), np.argmin(heights[0])
     asked = {
         "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": grows,
-        "Was the probe higher in row {} than in row {}?".format(*row_numbers([high, low])): [
-            height[high] > height[low] for height in heights
-        ],
+        "Was the probe higher in row {} than in row {}?".format(
+            *Finding.row_numbers([high, low])
+        ): [height[high] > height[low] for height in heights],
     }
     asked = {question: said for question, said in asked.items() if len({*said}) > 1}
     found = []
@@ -473,8 +466,8 @@ def _quick_scatter(one, angles, codes, points):
     if points is None:
         # Points are linear in the probe: origin + turn @ probe.
         ends = [(one.arm.n_joints, x) for x in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
-        origin, *shifted = carried(one.arm, angles, ends)
-        parts = centred(np.stack([origin, *(shifted - origin)]).transpose(2, 1, 0), codes)
+        origin, *shifted = one.arm.carried(angles, ends)
+        parts = Groups(codes).centred(np.stack([origin, *(shifted - origin)]).transpose(2, 1, 0))
         A, left = parts[:, :, 1:].reshape(-1, 3), parts[:, :, 0]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
@@ -512,7 +505,7 @@ def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | 
     if np.median(moved[k:]) > size or (k > 1 and np.median(as_given[: k - 1]) > size):
         return None
     k = 0 if k == 1 and moved[0] <= size else k
-    row = row_numbers([k])[0]
+    row = Finding.row_numbers([k])[0]
     of, what = "last", "a point is there twice, or a pose is missing"
     if shift > 0:
         of, what = "next", "a point is missing there"

@@ -41,7 +41,7 @@ from sklearn_raacmm.correction._rows import (
 )
 from sklearn_raacmm.error_model import LEAST_POSITIONS, ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import Explanation, base_motions, of_own_points
-from sklearn_raacmm.utils import Finding, medians_of, one_blas_thread, one_warning, param_checks
+from sklearn_raacmm.utils import Finding, Groups, one_blas_thread, one_warning, param_checks
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -428,7 +428,7 @@ class _Spread:
 
         None counts as farther from the middle of its position than some medians.
         """
-        middle = medians_of(left, self.shown.rows.codes)
+        middle = Groups(self.shown.rows.codes).medians(left)
         distance = np.linalg.norm(left - middle, axis=1)
         share = np.minimum(
             1.0, Explanation.FAR * np.median(distance) / np.maximum(distance, 1e-300)

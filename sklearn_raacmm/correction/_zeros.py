@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.measurements import base_motions, check_length
-from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
+from sklearn_raacmm.utils import Groups, align, listed
 
 # Rows that zeros are found from, starts at most, and steps of each: for speed. A start has found
 # them where the points coincide to this share of the reach; the best of three such starts is taken.
@@ -53,7 +53,7 @@ def with_found_zeros(
     def left(x):
         ours = arm.on_trial(**fields(x)).points_at(angles)
         if points is None:
-            return centred(ours, codes).ravel()
+            return Groups(codes).centred(ours).ravel()
         turn, shift = align(ours, points)
         return (ours @ turn.T + shift - points).ravel()
 
@@ -61,7 +61,7 @@ def with_found_zeros(
         ours, slope = arm.on_trial(**fields(x)).parameter_jacobian(angles)
         slope = slope[:, :, columns]
         if points is None:
-            return centred(slope, codes).reshape(-1, len(columns))
+            return Groups(codes).centred(slope).reshape(-1, len(columns))
         turn, shift = align(ours, points)
         slope = (turn @ slope).reshape(-1, len(columns))
         base = base_motions(ours @ turn.T + shift, arm.reach_mm).reshape(-1, 6)
@@ -148,7 +148,7 @@ def arm_from_data(
     if not lengths:
         raise ValueError("lengths are empty: without a known distance nothing shows the scale.")
     angles = arm.check_angles(angles, angle_unit)
-    labels, codes = encode_groups(positions, len(angles))
+    labels, codes = Groups.encoded(positions, len(angles))
     known = [check_length(entry, labels.tolist()) for entry in lengths]
     order = np.argsort(codes, kind="stable")
     few = order[np.linspace(0, len(order) - 1, min(len(order), 2 * _ROWS)).astype(int)]
@@ -159,7 +159,7 @@ def arm_from_data(
     def parts(zeros, rows):
         one = arm.on_trial(theta_offset=np.r_[0.0, zeros, 0.0])
         slope = one.parameter_jacobian(angles[rows])[1][:, :, columns]
-        means = group_means(slope, codes[rows])[codes[rows]]
+        means = Groups(codes[rows]).means(slope)[codes[rows]]
         return [
             part.reshape(-1, len(columns)) for part in (slope - means, means - means.mean(axis=0))
         ]
@@ -182,7 +182,7 @@ def arm_from_data(
         )
     found = {"theta_offset": np.r_[0.0, zeros, 0.0]}
     slope = arm.replace(**found).parameter_jacobian(angles)[1][:, :, columns]
-    places = group_means(slope @ last, codes)
+    places = Groups(codes).means(slope @ last)
     last *= np.mean([mm / np.linalg.norm(places[i] - places[j]) for i, j, mm, _ in known])
 
     def scaled(w):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, fit_rows, offered_harmonics
@@ -506,7 +506,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         True
         """
         check_is_fitted(self)
-        check_arm(arm)
+        Arm.check(arm)
         old = self.linear_model_
         moved = copy(self)
         moved.arm, moved.linear_model_ = arm, old.moved(arm, stated)
@@ -626,7 +626,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                     return shift, None
                 return shift, in_rad.fading(rows)[:, None] * linear.turns(rows)
 
-        angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
+        angles = self.arm_.angles_for(points, X[:, :n], orientations, correction=correction)
         return self.arm_.in_unit(angles, self.angle_unit)
 
     def fading(self, X: ArrayLike) -> Floats:

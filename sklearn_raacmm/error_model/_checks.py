@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import (
@@ -21,17 +21,13 @@ from sklearn_raacmm.measurements import (
     found_positions,
 )
 from sklearn_raacmm.utils import (
-    CENTRED,
     Finding,
+    Groups,
     check_data,
     check_features,
     check_weights,
-    encode_groups,
     floats,
     listed,
-    numbered_by_rows,
-    row_numbers,
-    share_of_means,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -55,7 +51,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     X, y = check_data(estimator, X, y)
     extra, lengths = check_extra(estimator.extra), listed("lengths", lengths)
     features = listed("features", features)
-    arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
+    arm = Arm.or_default(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
     check_extra(extra, arm.n_joints)
     unknown = [one for one in estimator.causes if not callable(one) and one not in CAUSES]
     if unknown:
@@ -76,8 +72,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     labels: Any = None
     positions: Any = None
     if groups is not None:
-        labels, positions = encode_groups(groups, len(y))
-        positions, old = numbered_by_rows(positions, np.argsort(weights == 0, kind="stable"))
+        labels, positions = Groups.encoded(groups, len(y))
+        positions, old = Groups(positions).numbered(np.argsort(weights == 0, kind="stable"))
         labels = labels[old]
     if features:
         if positions is None or estimator.offsets is False:
@@ -96,10 +92,10 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     else:
         # Deviations from anything but the mean keep a constant for each position, and are none the
         # less asked what deviations are asked.
-        is_auto, share = estimator.offsets == "auto", share_of_means(y, positions, weights)
+        is_auto, share = estimator.offsets == "auto", Groups(positions).share_of_means(y, weights)
         has_offsets = share < _NO_MEANS if is_auto else estimator.offsets
         codes, touched = positions if has_offsets else None, {}
-        deviations = has_offsets or (is_auto and share < CENTRED)
+        deviations = has_offsets or (is_auto and share < Groups.CENTRED)
     angles = X[:, : arm.n_joints]
     held = np.ones(len(y), bool) if not features else touched.pop("held")
     if held.any():  # touches of a surface are not of one point
@@ -249,7 +245,7 @@ def check_values(extra, values):
         margin = _BEYOND * (high - low)
         far = np.flatnonzero((column < low - margin) | (column > high + margin))
         if margin > 0 and len(far):
-            rows = row_numbers(far)
+            rows = Finding.row_numbers(far)
             said = (
                 f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it "
                 f"was from {low:g} to {high:g}."

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg.blas import dtrmm
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, joint_axes
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.utils import chunks
 
 ARCSEC = np.pi / 180 / 3600
@@ -200,7 +200,7 @@ def _kinematics(arm):
     moves = ((SHIFT, of_x, 0), (TURN, of_x, 0), (SHIFT, of_z, 2), (TURN, of_z, 2))
     changes = [
         (f"{field}{i + 1}", kind, i + of, axis)
-        for field, (kind, of, axis) in zip(FIELDS[:-1], moves, strict=True)
+        for field, (kind, of, axis) in zip(Arm.TABLE[:-1], moves, strict=True)
         for i in range(n)
     ]
     changes += [(f"probe_{'xyz'[axis]}", SHIFT, n, axis) for axis in range(3)]
@@ -520,10 +520,10 @@ class Columns:
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), joint_axes(self.arm)
+        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), self.arm.joint_axes
         for part in chunks(len(rows), _CHUNK):
             own = None if probes is None else probes[part]
-            levers[part] = axis_vectors(self.arm, angles[part], own)[0][:, :, axes]
+            levers[part] = self.arm.axis_vectors(angles[part], own)[0][:, :, axes]
         if "P" in self.arm.joint_types:
             levers *= self.arm.by_type(1.0, _METRE)
         return levers
@@ -574,7 +574,7 @@ class Columns:
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
-        vectors, places = axis_vectors(self.arm, angles, probes)
+        vectors, places = self.arm.axis_vectors(angles, probes)
         wave_phase = self.arm.phases(angles)
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
-from sklearn_raacmm.arm import axis_vectors, turn_mm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
@@ -35,15 +34,7 @@ from sklearn_raacmm.error_model._sums import (
     without_motions,
 )
 from sklearn_raacmm.inference import Problem, Structures, Sums, combined, root_of
-from sklearn_raacmm.utils import (
-    TUKEY_CUT,
-    Finding,
-    centred,
-    chunks,
-    slip_factors,
-    stage,
-    tukey_weights,
-)
+from sklearn_raacmm.utils import TUKEY_CUT, Finding, Groups, chunks, stage, tukey_weights
 
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
@@ -154,7 +145,7 @@ def offered_harmonics(angles, orders, arm=None):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
         most = np.full(n_joints, int(orders))
         if arm is not None and orders and (slides := arm.slides):
-            most[slides] = np.maximum(int(orders), turn_mm(arm)[slides] / _LEAST_PITCH_MM)
+            most[slides] = np.maximum(int(orders), arm.turn_mm[slides] / _LEAST_PITCH_MM)
         named = [_seen_orders(*one, n_poses) for one in zip(angles.T, most.tolist(), strict=True)]
     else:
         named = list(orders)
@@ -272,7 +263,7 @@ def _less_constants(rows, positions, fitted, known):
     constants = whitened.unknowns(left[:, :, None])[:, :, 0]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
     # Deviations from a row of the position are as large as its rows scatter, at most.
-    within = centred(rows.y, positions, rows.weights)
+    within = Groups(positions).centred(rows.y, rows.weights)
     scatter = float(np.sqrt(np.average(np.square(within).sum(axis=1), weights=rows.weights)))
     said = (
         f"The positions differ by constants of {size:.2g} mm each (root mean square) that the "
@@ -373,7 +364,7 @@ class Fit:
         rows, columns = self.rows, self.columns
         self.pose_weight: np.ndarray = np.ones(len(rows.weights))
         if rows.codes is not None:  # one slip of metres would shift all others of its position
-            self.pose_weight = slip_factors(rows.y, rows.codes, rows.weights)
+            self.pose_weight = Groups(rows.codes).slip_factors(rows.y, rows.weights)
         start = self.pose_weight
         self._sum_up()
         self._search()
@@ -581,7 +572,7 @@ def better_vertical(fitted):
     # A probe sags, whatever the pose: the arm measures it above where it is.
     columns = columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
     above = columns.at(rows.X)[:, :, loads] @ coef
-    upright = columns.upright(axis_vectors(rows.arm, rows.X[:, : rows.arm.n_joints])[0])
+    upright = columns.upright(rows.arm.axis_vectors(rows.X[:, : rows.arm.n_joints])[0])
     up = up * np.sign((above * upright).sum())
     return () if stated @ up > _NEAR else tuple(up.tolist())
 

@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of
 from sklearn_raacmm.error_model._sums import of_blocks, parts_of_positions
 from sklearn_raacmm.inference import Problem, combined
-from sklearn_raacmm.utils import Finding, chunks, group_means, stage
+from sklearn_raacmm.utils import Finding, Groups, chunks, stage
 
 # Blocks left out in turn; and parts of all positions, each between others, in their order along x.
 N_BLOCKS, N_PARTS = 10, 5
@@ -190,7 +190,7 @@ def judge(
     n = int(places.max()) + 1
 
     def deviations(left):
-        return group_means(np.linalg.norm(left, axis=1)[kept], places, weights[kept])
+        return Groups(places).means(np.linalg.norm(left, axis=1)[kept], weights[kept])
 
     def gains_of(share):
         gains = without - deviations(y - share * used)
@@ -350,7 +350,7 @@ def _blocks(points, positions, weights, between=False):
     `between`: every fifth of the positions, in the order of their x.
     """
     means, place = np.unique(
-        group_means(points, positions, weights), axis=0, return_inverse=True
+        Groups(positions).means(points, weights), axis=0, return_inverse=True
     )  # repeated rows, each a position of its own, are no more places than one
     n_blocks = min(N_BLOCKS, len(means))
     if n_blocks < 2:

@@ -27,7 +27,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.utils import check_shapes, chunks, group_means
+from sklearn_raacmm.utils import Groups, check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
@@ -365,7 +365,7 @@ class LinearModel:
         coef = self.coef
         if keep_scale:
             found = self.layout.points(X), self.layout.dot(X, coef)
-            points, moved = (group_means(values, codes, weights) for values in found)
+            points, moved = (Groups(codes).means(values, weights) for values in found)
             coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
         return replace(self, coef=coef).with_seen()
 

@@ -46,7 +46,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.measurements import Form, Whitening
-from sklearn_raacmm.utils import centred, chunks, group_sums, one_blas_thread, stage, summing
+from sklearn_raacmm.utils import Groups, chunks, one_blas_thread, stage
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
 # summed up together: the sums of blocks are added in their order, wherever they were made.
@@ -235,7 +235,7 @@ class Rows(NamedTuple):
         Those of touches are as long as those of three numbers.
         """
         if self.shown is None:
-            return centred(values, self.codes, weights)
+            return Groups(self.codes).centred(values, weights)
         left = self._replace(weights=weights, root=self.shown).whitening().centred(values)
         rank = np.reshape(self.rank, (-1, *[1] * (values.ndim - 1)))
         return self.along(left) * np.sqrt(3 / rank)
@@ -305,7 +305,7 @@ def explicit_gram(rows, columns_at):
         if rows.codes is not None:
             moved = whitened.basis[part].swapaxes(1, 2) @ columns
             n_positions = len(whitened.unit)
-            of_positions = of_positions + group_sums(moved, rows.codes[part], None, n_positions)
+            of_positions = of_positions + Groups(rows.codes[part], n_positions).sums(moved)
     return gram, of_positions, whitened.precision
 
 
@@ -368,7 +368,7 @@ def length_equations(rows, columns):
         sums = whitened.basis[part].swapaxes(1, 2) @ (
             whitened.root[part] @ columns.at(rows.X[part])
         )
-        moved = moved + group_sums(sums, rows.codes[part], None, len(used))
+        moved = moved + Groups(rows.codes[part], len(used)).sums(sums)
     means = whitened.unit @ moved
     measured, slopes = known_lengths(rows.forms, ends, points, found)
     moved = sum(np.einsum("lq,lqp->lp", slopes[i], means[ends[i]]) for i in (0, 1))
@@ -477,7 +477,7 @@ class _Block:
             self.turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
             left = always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
             if basis is not None:
-                total = summing(self.codes[k])
+                total = Groups(self.codes[k]).matrix()
                 explained = total @ (basis[part].swapaxes(1, 2) @ always).reshape(len(left), -1)
                 explained = explained.reshape(len(explained), -1, m)[self.codes[k]]
                 left = always - basis[part] @ explained  # one side of a product is enough
@@ -529,7 +529,7 @@ class _Block:
             products, moved, taken = turn.swapaxes(1, 2) @ turn, turn, turn
             if self.basis is not None:
                 moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                taken = group_sums(moved[:, :, twice] * wave[:, None], self.codes[k])
+                taken = Groups(self.codes[k]).sums(moved[:, :, twice] * wave[:, None])
                 taken = taken[self.codes[k]]
             for i, (own, (joint, *_)) in enumerate(zip(self._of_part(k), self.spans, strict=True)):
                 share = products[:, joint].take(twice, axis=1) * wave

@@ -17,7 +17,7 @@ from sklearn.utils import check_consistent_length
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._steps import Chain
-from sklearn_raacmm.utils import encode_groups, floats
+from sklearn_raacmm.utils import Groups, floats
 
 # Characters shown of a text that comes from outside.
 _LONGEST = 1000
@@ -178,7 +178,7 @@ def _training(chain, arm, X, y, groups):
         raise ValueError(
             f"X has {X.shape[1]} columns, but the model was fitted on {chain.n_inputs}."
         )
-    codes = None if groups is None else encode_groups(groups, len(X))[1]
+    codes = None if groups is None else Groups.encoded(groups, len(X))[1]
     if y is not None:
         y = floats("y", y, finite=True)
         check_consistent_length(X, y)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, phase_factors
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Program
@@ -182,7 +182,7 @@ class _Reader:
     @cached_property
     def phases(self):
         """What waves of each joint's error are waves of, rad."""
-        return self.own_angles * phase_factors(self.arm) if self.arm.slides else self.own_angles
+        return self.own_angles * self.arm.phase_factors if self.arm.slides else self.own_angles
 
     @cached_property
     def frames(self):
@@ -232,7 +232,7 @@ class _Reader:
         if not step.append_azimuth:
             return columns
         direction, radius = self.direction
-        return p("join", columns, direction.within(radius, MIN_LENGTH_MM, _FAR))
+        return p("join", columns, direction.within(radius, Arm.MIN_LENGTH_MM, _FAR))
 
     def elevation(self):
         """Elevation of the line from shoulder to wrist, rad."""
@@ -240,7 +240,7 @@ class _Reader:
         line = wrist - shoulder
         reach = line[[0, 1]].length()
         elevation = self.p("elevation", line[2], reach)
-        return elevation.within(line.length(), MIN_LENGTH_MM, _FAR)
+        return elevation.within(line.length(), Arm.MIN_LENGTH_MM, _FAR)
 
     # -- the arm's own error model ------------------------------------------------------------
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import scale_of, slides_of
-from sklearn_raacmm.utils import Finding, group_means
+from sklearn_raacmm.arm import JointTypes
+from sklearn_raacmm.utils import Finding, Groups
 
 # A row joins the run while every joint is within this of the run's running mean, and runs of so
 # many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real series none
@@ -41,14 +41,14 @@ class Dwells(NamedTuple):
         values = np.asarray(values)
         if values.dtype.kind != "f":
             return values[self.first]
-        return group_means(values, self.pose)
+        return Groups(self.pose).means(values)
 
     def mean_angles(self, angles: np.ndarray) -> np.ndarray:
         """Mean angles of each pose, whole turns apart or not."""
         if not self.merges:
             return angles
         origin = angles[self.first]
-        return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
+        return origin + Groups(self.pose).means(within_turn(angles - origin[self.pose]))
 
     def findings(self) -> Iterator[Finding]:
         """Findings on copies and dwells."""
@@ -72,8 +72,8 @@ def find_dwells(
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes
-    if slides_of(joint_types):
-        angles = angles * scale_of(joint_types, 1.0, _STILL_RAD / STILL_MM)
+    if JointTypes(joint_types).slides:
+        angles = angles * JointTypes(joint_types).by_type(1.0, _STILL_RAD / STILL_MM)
     step = np.abs(within_turn(np.diff(angles, axis=0), joint_types)).max(axis=1, initial=0.0)
     # Both ends of a step are within the limit of one mean.
     breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
@@ -126,6 +126,6 @@ def find_poses(
 
 def within_turn(angles: np.ndarray, joint_types: str = "") -> np.ndarray:
     """Angles in rad from -pi to pi; what slides stays as it is, mm."""
-    found, slides = np.remainder(angles + np.pi, 2 * np.pi) - np.pi, slides_of(joint_types)
+    found, slides = np.remainder(angles + np.pi, 2 * np.pi) - np.pi, JointTypes(joint_types).slides
     found[..., slides] = angles[..., slides]
     return found

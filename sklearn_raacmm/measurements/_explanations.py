@@ -17,15 +17,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.utils import (
-    Finding,
-    Weight,
-    align,
-    centred,
-    medians_of,
-    row_numbers,
-    tukey_weights,
-)
+from sklearn_raacmm.utils import Finding, Groups, Weight, align, tukey_weights
 
 What = TypeVar("What")
 
@@ -118,7 +110,7 @@ class Explanation:
 
     def said(self, numbers: np.ndarray) -> str:
         """The words, with the row from which on it is so; `numbers` are what rows are called."""
-        row = row_numbers(numbers[[self.first]])[0]
+        row = Finding.row_numbers(numbers[[self.first]])[0]
         what = self.what + f", from row {row} on" * (self.first > 0)
         return WORDS[self.code][0].format(what)
 
@@ -126,7 +118,7 @@ class Explanation:
         self, text: str, numbers: np.ndarray, size_mm: float, weight: Weight = "repair"
     ) -> Finding:
         """That it is so; `text` says how it was found."""
-        rows = row_numbers(numbers[[self.first]]) if self.first else ()
+        rows = Finding.row_numbers(numbers[[self.first]]) if self.first else ()
         return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
 
     @staticmethod
@@ -209,7 +201,7 @@ def _late(y, expected, codes):
         if len(rows) < _LEAST_ROWS:
             continue
         parts = [y[of] - expected[rows] for of in (rows, rows + step)]
-        middles = (medians_of(one, None if codes is None else codes[rows]) for one in parts)
+        middles = (Groups(None if codes is None else codes[rows]).medians(one) for one in parts)
         good, late = (np.square(a - b).sum(axis=1) for a, b in zip(parts, middles, strict=True))
         limit = Explanation.FAR**2 * max(np.median(good), np.median(late))
         ahead = np.cumsum(np.minimum(good, limit) - np.minimum(late, limit))
@@ -257,7 +249,11 @@ def of_own_points(
     def own_of(angles):
         return arm.points_at(angles, probes)
 
-    every, given, own = np.arange(len(y)), centred(y, codes), centred(own_of(angles), codes)
+    every, given, own = (
+        np.arange(len(y)),
+        Groups(codes).centred(y),
+        Groups(codes).centred(own_of(angles)),
+    )
     as_given = Explanation("", "", given - own, every)
     if explains(as_given):
         return True, []

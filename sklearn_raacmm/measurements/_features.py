@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import MAX_LENGTH_MM
-from sklearn_raacmm.utils import Finding, listed, slip_factors, tukey_weights
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.utils import Finding, Groups, listed, tukey_weights
 
 # Samples of touches that a first fit starts from, of which the one wins that half of all touches
 # are nearest to, and rounds of weights. Of 200 simulated planes and balls of 12 touches, three of
@@ -197,7 +197,7 @@ class Features:
         weights = np.ones(len(points))
         cones = np.isin(self.codes, [i for i, kind in enumerate(self.kinds) if kind == "cone"])
         codes = np.unique(self.codes[cones], return_inverse=True)[1]
-        weights[cones] = slip_factors(points[cones], codes)
+        weights[cones] = Groups(codes).slip_factors(points[cones])
         for code, kind in enumerate(self.kinds):
             if KINDS[kind].flat:
                 own = self.codes == code
@@ -287,12 +287,12 @@ def check_length(entry: Sequence[Any], labels: Sequence[Hashable]) -> tuple[int,
             raise ValueError(
                 f"lengths name the group {label!r}, which has no samples; groups are {some}."
             )
-    in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
+    in_bounds = 0 < length <= 2 * Arm.MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
     if not in_bounds or first == second:
         raise ValueError(
             f"a length must join two different groups, it must be positive and at most "
-            f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {entry!r:.60}."
+            f"{2 * Arm.MAX_LENGTH_MM:g} mm and its standard deviation at least "
+            f"{_LEAST_SD_MM:g} mm, got {entry!r:.60}."
         )
     return labels.index(first), labels.index(second), length, sd
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles, slides_of
+from sklearn_raacmm.arm import Arm, JointTypes
 from sklearn_raacmm.measurements._dwells import Dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._features import Features, check_length, probe_offsets
-from sklearn_raacmm.utils import encode_groups, floats, listed
+from sklearn_raacmm.utils import Groups, floats, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,9 @@ class Measurements:
         n_joints = np.shape(angles)[-1] if n_joints is None and np.ndim(angles) else n_joints
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
         types = joint_types or ""
-        angles = within_turn(check_angles(angles, types or n_joints or 0, angle_unit), types)
+        angles = within_turn(
+            JointTypes(types or "R" * (n_joints or 0)).check_angles(angles, angle_unit), types
+        )
         n = len(angles)
         found: dict[str, Any] = {"joint_types": types}
         if points is not None:
@@ -177,11 +179,11 @@ class Measurements:
             )
         for name, given in (("tool", tools), ("station", stations)):
             if given is not None:
-                names, found[f"{name}s"] = encode_groups(given, n, f"{name}s")
+                names, found[f"{name}s"] = Groups.encoded(given, n, f"{name}s")
                 found[f"{name}_labels"] = tuple(names.tolist())
         lengths, features = listed("lengths", lengths), listed("features", features)
         if groups is not None:
-            found["labels"], found["index"] = encode_groups(groups, n, "groups (positions)")
+            found["labels"], found["index"] = Groups.encoded(groups, n, "groups (positions)")
             named = found["labels"].tolist()
             found["lengths"] = [check_length(entry, named) for entry in lengths]
             if features:
@@ -208,7 +210,7 @@ class Measurements:
     def check_joints(self, arm: Arm) -> None:
         """Refuse measurements of another number of joints, or whose mm are taken for angles."""
         arm.check_angles(self.angles, "rad")
-        if slides_of(self.joint_types) != arm.slides:
+        if JointTypes(self.joint_types).slides != arm.slides:
             raise ValueError(
                 f"joint_types of the arm are {arm.joint_types!r}, and of the measurements "
                 f"{self.joint_types!r}: Measurements.of(..., joint_types=arm.joint_types) takes mm "

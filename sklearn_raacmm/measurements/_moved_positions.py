@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.measurements._dwells import find_dwells
 from sklearn_raacmm.measurements._explanations import Explanation
-from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
+from sklearn_raacmm.utils import Finding, Groups
 
 # Poses that are looked at together, and the fewest on either side of a step: what lasts for fewer
 # than three is an outlier.
@@ -100,7 +100,7 @@ def moved_positions(
 
     As `find_steps`; `numbers` (n,) are what the rows are called.
     """
-    labels, codes = encode_groups(groups)
+    labels, codes = Groups.encoded(groups)
     steps = find_steps(left, angles, codes)
     if not steps:
         return
@@ -108,7 +108,7 @@ def moved_positions(
     named = []
     for code in moved[:_NAMED]:
         largest = max((one for one in steps if one.code == code), key=lambda one: one.size_mm)
-        before, after = row_numbers(numbers[[largest.before, largest.after]])
+        before, after = Finding.row_numbers(numbers[[largest.before, largest.after]])
         where = f"{largest.size_mm:.3g} mm between rows {before} and {after}"
         named.append(f"position {labels[code].item()!r} by {where}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
@@ -119,7 +119,7 @@ def moved_positions(
         "again, or give the rows after each step a label of their own.",
         "repair",
         positions=tuple(labels[moved]),
-        rows=row_numbers(numbers[step.after] for step in steps),
+        rows=Finding.row_numbers(numbers[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm, JointTypes
 from sklearn_raacmm.measurements._dwells import within_turn
-from sklearn_raacmm.utils import Finding, centred, group_means, row_numbers
+from sklearn_raacmm.utils import Finding, Groups
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad. In a
 # stream a joint that has come back by less than twice the second has not turned round: encoders
@@ -69,7 +69,9 @@ def directions_of(
     """
     angles = np.asarray(angles, dtype=float)
     types = joint_types or ""
-    angles = check_angles(angles, types or (angles.shape[1] if angles.ndim == 2 else 0), "rad")
+    angles = JointTypes(types or "R" * (angles.shape[1] if angles.ndim == 2 else 0)).check_angles(
+        angles, "rad"
+    )
     # From 359 to 1 degree a joint has most likely gone the short way.
     steps = within_turn(np.diff(angles, axis=0, prepend=angles[:1]), types)
     if at is not None:
@@ -138,12 +140,12 @@ def drift_of(
         columns.append(np.broadcast_to(np.eye(3), (n, 3, 3)))
     effect = np.concatenate(columns, axis=2)
     effect = effect / np.sqrt(np.square(effect).sum(axis=(0, 1)))
-    y = centred(left, codes).ravel()
+    y = Groups(codes).centred(left).ravel()
     # Middle of each visit, from -1/2 at the first row to 1/2 at the last.
-    times = group_means(np.linspace(-0.5, 0.5, n)[:, None], visit).ravel()
+    times = Groups(visit).means(np.linspace(-0.5, 0.5, n)[:, None]).ravel()
 
     def explained(times):
-        seen = centred(times[visit][:, None, None] * effect, codes).reshape(3 * n, -1)
+        seen = Groups(codes).centred(times[visit][:, None, None] * effect).reshape(3 * n, -1)
         normal, slope = seen.T @ seen, seen.T @ y
         coef = np.linalg.lstsq(normal, slope, rcond=1e-12)[0]
         return slope @ coef, coef
@@ -152,7 +154,7 @@ def drift_of(
     rng = np.random.default_rng(0)
     if any(explained(rng.permutation(times))[0] >= found for _ in range(_ORDERS)):
         return
-    size = float(np.sqrt(np.square(centred(effect @ coef, codes)).sum(axis=1).mean()))
+    size = float(np.sqrt(np.square(Groups(codes).centred(effect @ coef)).sum(axis=1).mean()))
     text = f"This run drifted by {1000 * size:.0f} um from its first row to its last."
     yield Finding("drift-of-run", text, weight="note", size_mm=size)
 
@@ -172,7 +174,7 @@ def angle_faults(
         worth, total = np.bincount(codes.ravel(), weights), weights.sum()
         most = int(worth.argmax())
         if len(first) >= _LEAST_POSES and worth[most] > _MOST_OF_ONE * total:
-            row = row_numbers(numbers[first[[most]]])
+            row = Finding.row_numbers(numbers[first[[most]]])
             text = (
                 f"The pose of row {row[0]} has {worth[most]:.4g} of all weights, {total:.4g}: the "
                 f"{len(first) - 1} other poses would be taken for slips."

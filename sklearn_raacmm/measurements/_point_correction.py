@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import (
-    Finding,
-    Floats,
-    VersionedRegressor,
-    are_deviations,
-    centred,
-    check_weights,
-    encode_groups,
-    floats,
-)
+from sklearn_raacmm.utils import Finding, Floats, Groups, VersionedRegressor, check_weights, floats
 
 # Reference points that are the same to so many digits of a mm are those of one position; points of
 # the arm that are the same to so many are one pose.
@@ -165,11 +156,11 @@ def score_within(y, prediction, groups, sample_weight=None):
     y, prediction = floats("y", y, -1), floats("prediction", prediction, -1)
     if y.shape != prediction.shape:
         raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")
-    codes = encode_groups(groups, len(y))[1]
+    codes = Groups.encoded(groups, len(y))[1]
     weights = check_weights(sample_weight, y)
-    if not are_deviations(y, codes, weights):
+    if not Groups(codes).are_deviations(y, weights):
         return r2_score(y, prediction, sample_weight=weights)
-    parts = (centred(values, codes, weights) for values in (y, prediction))
+    parts = (Groups(codes).centred(values, weights) for values in (y, prediction))
     return r2_score(*parts, sample_weight=weights, multioutput="variance_weighted")
 
 

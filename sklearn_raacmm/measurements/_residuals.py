@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.measurements._features import Features
-from sklearn_raacmm.utils import Floats, centred, check_weights, encode_groups, floats, slip_factors
+from sklearn_raacmm.utils import Floats, Groups, check_weights, floats
 
 
 def position_residuals(
@@ -58,7 +58,7 @@ def position_residuals(
            [ 0.1,  0. ,  0. ]])
     """
     points = floats("points", points, 3)
-    labels, codes = encode_groups(groups, len(points))
+    labels, codes = Groups.encoded(groups, len(points))
     weight = check_weights(sample_weight, points)
     # Denormal weights have few digits left, their products with points fewer.
     weight = weight / max(weight.max(), 1e-300) if weight.max() < 1e-200 else weight
@@ -73,5 +73,5 @@ def position_residuals(
         )
     touched = Features.stated(features, labels.tolist(), codes)
     if set(touched.kinds) == {"cone"}:
-        return centred(points, codes, weight * slip_factors(points, codes, weight))
+        return Groups(codes).centred(points, weight * Groups(codes).slip_factors(points, weight))
     return touched.linearised(points, weight * touched.weights(points)).residual

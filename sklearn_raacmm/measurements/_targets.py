@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements._explanations import of_own_points
 from sklearn_raacmm.measurements._order import angle_faults
-from sklearn_raacmm.utils import Finding, align, centred
+from sklearn_raacmm.utils import Finding, Groups, align
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -55,7 +55,7 @@ def check_targets(
     numbers = np.flatnonzero(weights > 0)
     y, weights, parts = y[numbers], weights[numbers], (angles, codes, probes)
     angles, codes, probes = (None if v is None else v[numbers] for v in parts)
-    about_means = centred(y, codes, weights) if offsets else y  # offsets may be of any size
+    about_means = Groups(codes).centred(y, weights) if offsets else y  # offsets may be of any size
     if arm is None:
         shift = np.broadcast_to(np.eye(3), (len(y), 3, 3))
         checks: list[Any] = [_are_too_large(about_means)]
@@ -68,7 +68,9 @@ def check_targets(
             checks.append(_are_of_another_frame(y, moved, _STRIKING_SHARE * reach))
         if codes is not None:
             # In another order their means are not 0, but they are as long.
-            ours, given = (np.sort(np.linalg.norm(v, axis=1)) for v in (centred(points, codes), y))
+            ours, given = (
+                np.sort(np.linalg.norm(v, axis=1)) for v in (Groups(codes).centred(points), y)
+            )
             if offsets or np.allclose(given, ours, rtol=1e-6, atol=1e-9):
                 found = of_own_points(y, codes, arm, angles, numbers, probes)[1]
                 # Rounded angles are those of other points, and are named already.
@@ -142,7 +144,11 @@ def _are_what_calibration_takes(y, arm, angles, points, constants):
         return
     moved = base_motions(points, reach)  # a base that stands elsewhere is another finding
     if constants:
-        y, jac, moved = centred(y, *constants), centred(jac, *constants), moved[:, :, :0]
+        y, jac, moved = (
+            Groups(constants[0]).centred(y, constants[1]),
+            Groups(constants[0]).centred(jac, constants[1]),
+            moved[:, :, :0],
+        )
     size = _beside(y, moved)
     left = _beside(y, moved, jac, _LEFT_OF_TABLE / 3 * size)
     if size > _LARGE_MM and left < _LEFT_OF_TABLE * size:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import group_sums
+from sklearn_raacmm.utils import Groups
 
 # Share of what is known best of a feature's unknowns that is rounding: a ball touched on one side.
 _ROUNDING = 1e-12
@@ -50,7 +50,7 @@ class Whitening:
         if feature is None:
             return
         side = self.root if unknowns is None else self.root @ unknowns
-        value, axes = np.linalg.eigh(group_sums(side.swapaxes(1, 2) @ side, feature))
+        value, axes = np.linalg.eigh(Groups(feature).sums(side.swapaxes(1, 2) @ side))
         shown = value > _ROUNDING * np.maximum(value[:, -1:], 1e-300)
         taken = 0 if known else np.count_nonzero(shown)
         self.n_observations = max(self.n_observations - taken, 0.0)
@@ -63,7 +63,7 @@ class Whitening:
 
     def explained(self, whitened: np.ndarray) -> np.ndarray:
         """Sums over each feature of products of the basis with columns, (n_features, q, m)."""
-        return group_sums(self.basis.swapaxes(1, 2) @ whitened, self.feature)
+        return Groups(self.feature).sums(self.basis.swapaxes(1, 2) @ whitened)
 
     def deviations(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, 3, m), whitened, less what unknowns explain of them."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
-from sklearn_raacmm.utils import encode_groups, floats, group_means
+from sklearn_raacmm.utils import Groups, floats
 
 
 def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
@@ -40,7 +40,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     array([300.])
     """
     points = floats("points", points, 3)
-    labels, position = encode_groups(groups, len(points))
+    labels, position = Groups.encoded(groups, len(points))
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs has shape {pairs.shape}; (n_lengths, 2) is needed.")
@@ -49,7 +49,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     if None in found:
         unknown = pairs.ravel().tolist()[found.index(None)]
         raise ValueError(f"pairs names the group {unknown!r}, which has no points.")
-    means = group_means(points, position)
+    means = Groups(position).means(points)
     ends = np.array(found, dtype=int).reshape(-1, 2)
     return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
 
@@ -129,7 +129,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     """
     centers = floats("points", points, 3)
     if groups is not None:
-        labels, position = encode_groups(groups, len(centers))
+        labels, position = Groups.encoded(groups, len(centers))
         points, centers = centers, np.empty((len(labels), 3))
         for i, label in enumerate(labels.tolist()):
             try:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from sklearn import get_config
 
-from sklearn_raacmm.utils import Floats, centred, check_option, encode_groups, floats, group_means
+from sklearn_raacmm.utils import Floats, Groups, check_option, floats
 
 _DISTANCES = ("2s", "max", "mean")
 
@@ -140,7 +140,7 @@ def repeatability_interval(
     value = single_point_repeatability(points, groups, statistic=statistic, aggregate=None)
     deviations, position, counts = _deviations(points, groups)
     products = (deviations[:, :, None] * deviations[:, None, :]).reshape(len(deviations), -1)
-    products = group_means(products, position)  # C but for a factor that drops out
+    products = Groups(position).means(products)  # C but for a factor that drops out
     trace = products[:, :: deviations.shape[1] + 1].sum(axis=1)
     square = np.square(products).sum(axis=1)
     # Points that all coincide have an interval of no length, whatever their degrees of freedom.
@@ -350,10 +350,10 @@ def _difference(y_true, y_pred):
 
 
 def _groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Labels and codes as `encode_groups`; None makes all rows one group."""
+    """Labels and codes as `Groups.encoded`; None makes all rows one group."""
     if groups is None:
         return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
-    return encode_groups(groups, n_samples)
+    return Groups.encoded(groups, n_samples)
 
 
 def _deviations(
@@ -368,16 +368,16 @@ def _deviations(
             f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "
             f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
         )
-    return centred(points, codes), codes, counts
+    return Groups(codes).centred(points), codes, counts
 
 
 def _of_positions(values, position, counts, statistic):
     """Statistic of values (n, q) about their position's mean, or of distances from it."""
     if statistic == "2s":
         counts = counts[:, None]
-        return 2 * np.sqrt(group_means(values**2, position) * counts / (counts - 1))
+        return 2 * np.sqrt(Groups(position).means(values**2) * counts / (counts - 1))
     if statistic == "mean":
-        return group_means(values, position)
+        return Groups(position).means(values)
     low, high = np.zeros((2, len(counts), values.shape[1]))  # 0, the mean, lies between
     np.minimum.at(low, position, values)
     np.maximum.at(high, position, values)

@@ -35,8 +35,8 @@ from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET,
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
+    Groups,
     many_without_weight,
-    medians_of,
     robust_scale,
     stage,
     tukey_weights,
@@ -319,7 +319,7 @@ def reweigh(estimator, source):
     (n, q), factor, residuals = rows.Y.shape, np.ones(rows.n_rows), rows.Y
     for i in range(MAX_FITS):
         residuals = rows.Y - predict_mean(pack(estimator.networks_), rows.X)
-        residuals -= medians_of(residuals, rows.codes)  # where groups have constants
+        residuals -= Groups(rows.codes).medians(residuals)  # where groups have constants
         last, factor = factor, biweights(residuals, rows.weights)
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):

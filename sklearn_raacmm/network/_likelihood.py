@@ -31,7 +31,7 @@ from scipy.optimize import minimize
 
 from sklearn_raacmm.network._kernels import Kernel, radial, squared_distances
 from sklearn_raacmm.network._linear import DOUBT, SILENT
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -190,7 +190,7 @@ def used_share(data, K, alphas, ratio=0.0):
         for rows in data.groups:
             inverse = half[rows, rows] + half[rows, rows].T
             found[rows, i] -= np.linalg.solve(inverse, solved[rows])
-    y, f = (centred(a, data.codes, data.weights) for a in (data.Y, found / np.sqrt(weights)))
+    y, f = (Groups(data.codes).centred(a, data.weights) for a in (data.Y, found / np.sqrt(weights)))
     starts = [rows.start for rows in data.groups]
     products, squares = (np.add.reduceat(weights * a * f, starts) for a in (y, f))
     size = np.maximum(squares.sum(axis=0), TINY)

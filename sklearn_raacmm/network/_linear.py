@@ -19,7 +19,7 @@ from scipy.linalg import qr, solve_triangular
 
 from sklearn_raacmm.network._ranks import to_ranks
 from sklearn_raacmm.network._rows import Rows
-from sklearn_raacmm.utils import group_means
+from sklearn_raacmm.utils import Groups
 
 # Ridges that are tried: powers of 2, whose choice no rounding changes.
 RIDGES = 2.0 ** np.arange(-40, 41)
@@ -63,7 +63,7 @@ def without_constants(columns, codes, weights, ratio):
     if codes is None or not ratio:
         return columns
     share = 1 - 1 / np.sqrt(1 + ratio * np.bincount(codes, weights))
-    return columns - (share[:, None] * group_means(columns, codes, weights))[codes]
+    return columns - (share[:, None] * Groups(codes).means(columns, weights))[codes]
 
 
 def linear_evidence(columns, targets, within, n_free, n_total):

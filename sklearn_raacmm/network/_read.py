@@ -9,15 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
-from sklearn_raacmm.utils import (
-    LARGEST,
-    are_deviations,
-    check_data,
-    check_weights,
-    encode_groups,
-    floats,
-    is_dask,
-)
+from sklearn_raacmm.utils import LARGEST, Groups, check_data, check_weights, floats, is_dask
 
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
@@ -48,8 +40,8 @@ def read_data(estimator, X, y, sample_weight, groups):
             f"groups are for at most {_rows.IN_MEMORY_ROWS} rows, which are held in memory; there "
             f"are {source.n_rows}."
         )
-    codes = encode_groups(groups, source.n_rows)[1]
-    constants = are_deviations(source.Y, codes, source.weights)
+    codes = Groups.encoded(groups, source.n_rows)[1]
+    constants = Groups(codes).are_deviations(source.Y, source.weights)
     return source._replace(codes=codes) if constants else source
 
 

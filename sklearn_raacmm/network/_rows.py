@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_array
 
-from sklearn_raacmm.utils import chunks, floats, numbered_by_rows, one_blas_thread
+from sklearn_raacmm.utils import Groups, chunks, floats, one_blas_thread
 
 # Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.
 IN_MEMORY_ROWS, HELD_ROWS = 100_000, 10_000
@@ -94,7 +94,7 @@ class Rows(NamedTuple):
         X, Y, weights, codes = self.X[kept] + 0.0, self.Y[kept], self.weights[kept], self.codes
         if codes is not None:  # by the rows themselves, not by their order or the names of groups
             codes = np.unique(codes[kept], return_inverse=True)[1]
-            codes = numbered_by_rows(codes, np.lexsort(np.column_stack([Y, X]).T))[0]
+            codes = Groups(codes).numbered(np.lexsort(np.column_stack([Y, X]).T))[0]
         keys = X if codes is None else np.column_stack([codes, X])
         _, place, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         inverse = inverse.ravel()

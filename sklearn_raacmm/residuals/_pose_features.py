@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, arm_for, carried, check_arm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.utils import (
     Floats,
     VersionedTransformer,
@@ -128,7 +128,7 @@ class PoseFeatures(VersionedTransformer):
             neither upright nor upside down, or turns with a positioner.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
-        self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
+        self.arm_: Arm = Arm.or_default(self.arm, type(self).__name__, X.shape[1])
         if slides := self.arm_.slides:
             raise ValueError(
                 f"joint {slides[0] + 1} of the arm slides, and these features are angles of joints "
@@ -235,10 +235,10 @@ def _pose(arm, angles):
     """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both."""
     shoulder, wrist = arm.pose_frames
     fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
-    start, end, probe = carried(arm, angles, fixed)
+    start, end, probe = arm.carried(angles, fixed)
     x, y, z = end - start
     reach = np.hypot(x, y)
-    short = np.flatnonzero(np.hypot(reach, z) < MIN_LENGTH_MM)
+    short = np.flatnonzero(np.hypot(reach, z) < Arm.MIN_LENGTH_MM)
     if short.size:
         raise ValueError(
             f"theta_dis is undefined: the origins of frames {shoulder} and {wrist} coincide, first "
@@ -251,7 +251,7 @@ def _checked_direction(points):
     """Cosine and sine of the azimuth of points (3, n) about the base axis, which has to exist."""
     x, y, _ = points
     radius = np.hypot(x, y)
-    on_axis = np.flatnonzero(radius < MIN_LENGTH_MM)
+    on_axis = np.flatnonzero(radius < Arm.MIN_LENGTH_MM)
     if on_axis.size:
         raise ValueError(
             f"The azimuth is undefined: the probe lies on the base axis, first in row {on_axis[0]} "
@@ -337,7 +337,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
     shoulder, elbow, wrist = _corners(arm, angles, angle_unit)
     up, down = shoulder - elbow, wrist - elbow
     shortest = min(np.linalg.norm(side, axis=0).min(initial=np.inf) for side in (up, down))
-    if shortest < MIN_LENGTH_MM:
+    if shortest < Arm.MIN_LENGTH_MM:
         raise ValueError(
             f"The elbow lies on the shoulder or on the wrist (distance {shortest:.3g} mm), which "
             "leaves its angle undefined. Choose the arm's pose_joints and pose_frames apart."
@@ -349,10 +349,10 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 
 def _corners(arm, angles, angle_unit):
     """Shoulder, elbow and wrist, (3, n) each, mm."""
-    check_arm(arm)
+    Arm.check(arm)
     angles = arm.check_angles(angles, angle_unit)
     first, last = arm.pose_frames
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.
     elbow = arm.pose_joints[1] - (arm.convention == "standard")
     fixed = [(frame, _ORIGIN) for frame in (first, elbow, last)]
-    return carried(arm, angles, fixed)
+    return arm.carried(angles, fixed)

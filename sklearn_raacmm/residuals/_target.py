@@ -35,9 +35,8 @@ from sklearn_raacmm.residuals._cylindrical import (
 from sklearn_raacmm.utils import (
     Finding,
     Floats,
-    are_deviations,
+    Groups,
     check_weights,
-    encode_groups,
     floats,
     is_plain,
     last_step_of,
@@ -188,7 +187,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             groups = None
         elif groups is None and self._rotates and (arm := self._arm()) is not None:
             groups = found_positions(arm.forward(X), target)
-        codes = None if groups is None else encode_groups(groups, len(target))[1]
+        codes = None if groups is None else Groups.encoded(groups, len(target))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
                 check_weights(value, target, name)
@@ -232,7 +231,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
         weights, arm = np.ones(len(y)), self._arm()
         angles = None if arm is None else arm.check_angles(X, "rad")
-        offsets = codes is not None and are_deviations(y, codes, weights)
+        offsets = codes is not None and Groups(codes).are_deviations(y, weights)
         yield from check_targets(y, weights, arm, angles, codes, offsets)
         if unasked and arm is None:
             yield from _shown_positions(direction, to_cylindrical(y, direction)[:, 1])
@@ -248,7 +247,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             if knows:
                 last.set_fit_request(groups=True)
         weights = check_weights(fit_params.get(f"{prefix}sample_weight"), y.reshape(len(y), -1))
-        self.by_position_ = are_deviations(y, codes, weights)
+        self.by_position_ = Groups(codes).are_deviations(y, weights)
         if knows and self.by_position_:
             # With no more positions than features a linear function of these imitates any
             # constants: what is learnt besides them went wrong by up to a third at places far from

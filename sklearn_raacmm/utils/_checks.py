@@ -14,7 +14,7 @@ from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
-from sklearn_raacmm.utils._findings import row_numbers
+from sklearn_raacmm.utils._findings import Finding
 
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
@@ -70,7 +70,7 @@ def _refuse_huge(name, array):
         return
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
-        where = f"; the first is in row {row_numbers(bad[0, :1])[0]}" if array.ndim else ""
+        where = f"; the first is in row {Finding.row_numbers(bad[0, :1])[0]}" if array.ndim else ""
         said = "values that are missing, NaN or infinity"
         raise ValueError(f"{name} holds {len(bad)} {said}{where}.")
     raise ValueError(f"{name} holds {largest:g}: numbers above {LARGEST:g} are refused.")

@@ -69,6 +69,23 @@ Result = TypeVar("Result")
 Weight = Literal["note", "doubt", "repair", "refuse"]
 
 
+class _Within:
+    """Change the state for what runs within.
+
+    It is no generator: one that is interrupted and closed later would change the state of others.
+    """
+
+    def __init__(self, **changes: Any) -> None:
+        self._changes = changes
+
+    def __enter__(self) -> list["Finding"]:
+        self._token = _STATE.set({**_STATE.get(), **self._changes})
+        return self._changes.get("collected", [])
+
+    def __exit__(self, *error: object) -> None:
+        _STATE.reset(self._token)
+
+
 @dataclass(frozen=True)
 class Finding:
     """What was found in the data, or in what was made of them.
@@ -138,36 +155,88 @@ class Finding:
         elif self.weight != "note":
             warn_user(FindingWarning(self))
 
+    @staticmethod
+    def numbered(numbers: Sequence[int] | np.ndarray) -> AbstractContextManager[object]:
+        """Let findings that are made within name their rows by these numbers (n,).
 
-class _Within:
-    """Change the state for what runs within.
+        Those of the lines of a file, by which whoever reads the findings knows the rows.
+        """
+        return _Within(row_numbers=numbers)
 
-    It is no generator: one that is interrupted and closed later would change the state of others.
-    """
+    @staticmethod
+    def row_numbers(rows: Iterable[SupportsIndex]) -> tuple[int, ...]:
+        """Numbers by which findings name some rows: counted from 0, or as `numbered` says."""
+        numbers = _STATE.get().get("row_numbers")
+        return tuple(int(row if numbers is None else numbers[row]) for row in rows)
 
-    def __init__(self, **changes: Any) -> None:
-        self._changes = changes
+    @staticmethod
+    def collected() -> AbstractContextManager[list["Finding"]]:
+        """Collect the findings that are made within, instead of warning.
 
-    def __enter__(self) -> list[Finding]:
-        self._token = _STATE.set({**_STATE.get(), **self._changes})
-        return self._changes.get("collected", [])
+        ``with Finding.collected() as found`` gives a list, with each finding once; notes, too.
+        """
+        return _Within(collected=[])
 
-    def __exit__(self, *error: object) -> None:
-        _STATE.reset(self._token)
+    @staticmethod
+    @contextmanager
+    def ignored() -> Iterator[None]:
+        """Leave out findings and warnings of parts of the data: those of all rows are shown."""
+        with _Within(collected=[], ignored=True), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            yield
 
+    @staticmethod
+    def are_ignored() -> bool:
+        """Whether nobody will read what is found here, so that it need not be looked for."""
+        return bool(_STATE.get().get("ignored"))
 
-def numbered_rows(numbers: Sequence[int] | np.ndarray) -> AbstractContextManager[object]:
-    """Let findings that are made within name their rows by these numbers (n,).
+    @staticmethod
+    def of_call(
+        function: Callable[[], Result], accept: str | Sequence[str] | None = None
+    ) -> tuple[Result, list["Finding"]]:
+        """Call a function: its result, and what was found within, each warned of once at the end.
 
-    Those of the lines of a file, by which whoever reads the findings knows the rows.
-    """
-    return _Within(row_numbers=numbers)
+        A finding of weight "repair" whose code is in `accept` becomes a doubt; any other ends the
+        call, unless this is a part of another one, or `accept` is None. In a context of its own:
+        whatever interrupts the function, later findings are warned of again.
+        """
+        codes = Finding.check_accepted(accept)
+        before = {**_STATE.get()}
+        refuses = accept is not None and before.get("collected") is None
+        own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
 
+        def inside():
+            _STATE.set(own)
+            found: list[Finding] = []
+            try:
+                with Finding.collected() as found:
+                    result = function()
+            except ValueError as error:
+                _STATE.set(before | {"accepted": (), "refuses": False})
+                # One of them may be the reason; that which is raised is not said twice.
+                for finding in found:
+                    if finding is not getattr(error, "finding", None):
+                        finding.report()
+                raise
+            for finding in sorted(found, key=lambda one: one.weight == "repair"):
+                finding.report()
+            return result, found
 
-def row_numbers(rows: Iterable[SupportsIndex]) -> tuple[int, ...]:
-    """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
-    numbers = _STATE.get().get("row_numbers")
-    return tuple(int(row if numbers is None else numbers[row]) for row in rows)
+        return copy_context().run(inside)
+
+    @staticmethod
+    def check_accepted(accept: str | Iterable[Any] | None) -> tuple[Any, ...]:
+        """Codes to accept; one that no finding to be accepted has is a slip, and refused."""
+        codes = (accept,) if isinstance(accept, str) else tuple([] if accept is None else accept)
+        for code in codes:
+            if code not in TO_ACCEPT:
+                near = get_close_matches(str(code), TO_ACCEPT, 3)
+                which, those = ("nearest", near) if near else ("codes", TO_ACCEPT)
+                raise ValueError(
+                    f"accept: {code!r} is no code of a finding that can be accepted. The {which} "
+                    f"are: {', '.join(those)}."
+                )
+        return codes
 
 
 class FindingWarning(UserWarning):
@@ -186,62 +255,6 @@ class FindingError(ValueError):
         self.finding = finding
 
 
-def collected_findings() -> AbstractContextManager[list[Finding]]:
-    """Collect the findings that are made within, instead of warning.
-
-    ``with collected_findings() as found`` gives a list, with each finding once; notes, too.
-    """
-    return _Within(collected=[])
-
-
-def call_collecting(
-    function: Callable[[], Result], accept: str | Sequence[str] | None = None
-) -> tuple[Result, list[Finding]]:
-    """Call a function: its result, and what was found within, each warned of once at the end.
-
-    A finding of weight "repair" whose code is in `accept` becomes a doubt; any other ends the call,
-    unless this is a part of another one, or `accept` is None.
-    In a context of its own: whatever interrupts the function, later findings are warned of again.
-    """
-    codes = check_accepted(accept)
-    before = {**_STATE.get()}
-    refuses = accept is not None and before.get("collected") is None
-    own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
-
-    def inside():
-        _STATE.set(own)
-        found: list[Finding] = []
-        try:
-            with collected_findings() as found:
-                result = function()
-        except ValueError as error:
-            _STATE.set(before | {"accepted": (), "refuses": False})
-            # One of them may be the reason; that which is raised is not said twice.
-            for finding in found:
-                if finding is not getattr(error, "finding", None):
-                    finding.report()
-            raise
-        for finding in sorted(found, key=lambda one: one.weight == "repair"):
-            finding.report()
-        return result, found
-
-    return copy_context().run(inside)
-
-
-def check_accepted(accept: str | Iterable[Any] | None) -> tuple[Any, ...]:
-    """Codes to accept; one that no finding has which could be accepted is a slip, and refused."""
-    codes = (accept,) if isinstance(accept, str) else tuple([] if accept is None else accept)
-    for code in codes:
-        if code not in TO_ACCEPT:
-            near = get_close_matches(str(code), TO_ACCEPT, 3)
-            which, those = ("nearest", near) if near else ("codes", TO_ACCEPT)
-            raise ValueError(
-                f"accept: {code!r} is no code of a finding that can be accepted. The {which} are: "
-                f"{', '.join(those)}."
-            )
-    return codes
-
-
 def one_warning(function: Function) -> Function:
     """Make a function that warns of each finding once, however many of its parts make it.
 
@@ -252,7 +265,7 @@ def one_warning(function: Function) -> Function:
     @wraps(function)
     def wrapper(*args, **kwargs):
         accept = kwargs.pop("accept", ()) if takes else None
-        result, found = call_collecting(partial(function, *args, **kwargs), accept)
+        result, found = Finding.of_call(partial(function, *args, **kwargs), accept)
         if hasattr(result, "findings_"):
             result.findings_ = tuple(found)
         return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
@@ -285,19 +298,6 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
         return cast(Function, wrapper)
 
     return decorate
-
-
-@contextmanager
-def ignored_findings() -> Iterator[None]:
-    """Leave out findings and warnings of parts of the data: those of all rows are shown."""
-    with _Within(collected=[], ignored=True), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        yield
-
-
-def are_findings_ignored() -> bool:
-    """Whether nobody will read what is found here, so that it need not be looked for."""
-    return bool(_STATE.get().get("ignored"))
 
 
 def stage(name: str) -> Callable[[Function], Function]:

@@ -13,6 +13,7 @@ References
 
 import re
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,10 +27,6 @@ from sklearn_raacmm.utils._findings import Finding
 LIMIT = None
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
-# Mean residuals of positions, as a share of what the scatter within positions explains, below which
-# they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
-# 1 for independent residuals against a reference, more where neighbours err alike.
-CENTRED = 0.5
 # Numbers of a matrix of sums that are multiplied sooner than a sparse matrix is made.
 _SMALL = 2**14
 # Share of a sum that is rounding.
@@ -58,45 +55,174 @@ def chunks(n_rows: int, size: int) -> list[slice]:
     return [slice(start, min(start + step, n_rows)) for start in range(0, n_rows, step)]
 
 
-def encode_groups(
-    groups: ArrayLike | None, n_samples: int | None = None, name: str = "groups"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Different labels, sorted (n_groups,), and the index of each row's label (n_samples,).
+class Groups:
+    """Rows that belong together, such as those of a position, by the number of each row's group.
 
-    Labels are numbers or text. The texts "nan" and "None" are labels as any others; an empty text,
-    NaN, None and pandas' NA are missing, which is refused.
+    Parameters
+    ----------
+    codes : ndarray of shape (n,)
+        Number of each row's group, from 0. None: rows of no group, which have no mean.
+    n_groups : int, default=None
+        How many there are. None: as many as `codes` names.
     """
-    if groups is None:
-        raise ValueError(f"{name} must give the position of each point, got None.")
-    if np.ma.is_masked(groups):
-        raise ValueError(f"{name} has {np.ma.count_masked(groups)} masked labels.")
-    labels = _labels(groups, name)
-    if n_samples is not None and len(labels) != n_samples:
-        raise ValueError(f"{name} names {len(labels)} samples, but there are {n_samples}.")
-    missing = _missing(labels)
-    if missing.any():
-        raise ValueError(
-            f"{name} has {missing.sum()} missing labels among {labels.size} "
-            f"(the first in row {np.flatnonzero(missing)[0]})."
-        )
-    try:
-        return np.unique(labels, return_inverse=True)
-    except TypeError:
-        kinds = sorted({type(label).__name__ for label in labels})
-        raise ValueError(
-            f"{name} must be labels of one kind, got {' and '.join(kinds)} mixed."
-        ) from None
 
+    # Mean residuals of positions, as a share of what the scatter within positions explains, below
+    # which they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of
+    # them are, 1 for independent residuals against a reference, more where neighbours err alike.
+    CENTRED = 0.5
 
-def numbered_by_rows(codes: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (n,) of the same groups, numbered as their first rows come in an order of rows.
+    __slots__ = ("codes", "n_groups")
 
-    What is computed then is the same to the last digit, whatever the groups are called. The old
-    code of each new one comes with them.
-    """
-    old, first = np.unique(codes[order], return_index=True)
-    old = old[np.argsort(first)]
-    return np.argsort(old)[codes], old
+    def __init__(self, codes: Any, n_groups: int | None = None) -> None:
+        self.codes, self.n_groups = codes, n_groups
+
+    @staticmethod
+    def encoded(
+        groups: ArrayLike | None, n_samples: int | None = None, name: str = "groups"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Different labels, sorted (n_groups,), and the index of each row's label (n_samples,).
+
+        Labels are numbers or text. The texts "nan" and "None" are labels as any others; an empty
+        text, NaN, None and pandas' NA are missing, which is refused.
+        """
+        if groups is None:
+            raise ValueError(f"{name} must give the position of each point, got None.")
+        if np.ma.is_masked(groups):
+            raise ValueError(f"{name} has {np.ma.count_masked(groups)} masked labels.")
+        labels = _labels(groups, name)
+        if n_samples is not None and len(labels) != n_samples:
+            raise ValueError(f"{name} names {len(labels)} samples, but there are {n_samples}.")
+        missing = _missing(labels)
+        if missing.any():
+            raise ValueError(
+                f"{name} has {missing.sum()} missing labels among {labels.size} "
+                f"(the first in row {np.flatnonzero(missing)[0]})."
+            )
+        try:
+            return np.unique(labels, return_inverse=True)
+        except TypeError:
+            kinds = sorted({type(label).__name__ for label in labels})
+            raise ValueError(
+                f"{name} must be labels of one kind, got {' and '.join(kinds)} mixed."
+            ) from None
+
+    @staticmethod
+    def in_order(labels: Iterable[object]) -> list[int]:
+        """Indices of labels in the order in which cone 2 comes before cone 10."""
+        parts = [re.split(r"(\d+)", str(label)) for label in labels]
+        keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
+        return sorted(range(len(keys)), key=keys.__getitem__)
+
+    def numbered(self, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Codes (n,) of the same groups, numbered as their first rows come in an order of rows.
+
+        What is computed then is the same to the last digit, whatever the groups are called. The old
+        code of each new one comes with them.
+        """
+        old, first = np.unique(self.codes[order], return_index=True)
+        old = old[np.argsort(first)]
+        return np.argsort(old)[self.codes], old
+
+    def matrix(self, weights: np.ndarray | None = None) -> np.ndarray | csc_array:
+        """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
+        n = len(self.codes)
+        n_groups = int(self.codes.max()) + 1 if self.n_groups is None else self.n_groups
+        weights = np.ones(n) if weights is None else weights
+        if n_groups * n <= _SMALL:
+            matrix = np.zeros((n_groups, n))
+            matrix[self.codes, np.arange(n)] = weights
+            return matrix
+        return csc_array((weights, self.codes, np.arange(n + 1)), shape=(n_groups, n))
+
+    def sums(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Weighted sum of the rows (n, ...) of each group, (n_groups, ...)."""
+        sums = self.matrix(weights) @ values.reshape(len(values), -1)
+        return sums.reshape(len(sums), *values.shape[1:])
+
+    def means(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Weighted mean of the rows (n, ...) of each group, (n_groups, ...)."""
+        # Sums of differences from the first row, so that a large mean costs no digits.
+        origin = values[0]
+        total = np.maximum(np.bincount(self.codes, weights), _TINY)
+        total = total.reshape(-1, *[1] * (values.ndim - 1))
+        return self.sums(values - origin, weights) / total + origin
+
+    def centred(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Rows less the weighted mean of their group."""
+        return values if self.codes is None else values - self.means(values, weights)[self.codes]
+
+    def medians(self, values: np.ndarray) -> np.ndarray:
+        """Median of the group of each row (n, q): a slipped pose pulls the mean; 0 without any."""
+        middle = np.zeros_like(values)
+        if self.codes is None:
+            return middle
+        _, of, counts = np.unique(self.codes, return_inverse=True, return_counts=True)
+        first = np.cumsum(counts) - counts
+        for i, column in enumerate(values.T):
+            column = column[np.lexsort((column, of))]  # by position, and there by size
+            median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+            middle[:, i] = median[of]
+        return middle
+
+    def are_deviations(self, y: np.ndarray, weights: np.ndarray) -> bool:
+        """Whether residuals (n, ...) are known up to a constant in each group: means are small."""
+        return self.share_of_means(y, weights) < self.CENTRED
+
+    def share_of_means(self, y: np.ndarray, weights: np.ndarray) -> float:
+        """Mean squares of groups' means of residuals (n, ...), over what scatter alone explains.
+
+        Of means with slips or without them, whichever is less: they may be deviations from either.
+        """
+        y, factor = y.reshape(len(y), -1), self.slip_factors(y.reshape(len(y), -1), weights)
+        share = self._share_of_means(y, weights)
+        return min(share, self._share_of_means(y, weights * factor)) if factor.min() < 1 else share
+
+    def _share_of_means(self, y, weights):
+        """The share; infinite where nothing scatters."""
+        # Weights above 1 are repeats; smaller ones are no parts of a row: few would be left.
+        weights = weights / min(weights[weights > 0].mean(), 1.0)
+        total = np.bincount(self.codes, weights)
+        used, means = total > 0, self.means(y, weights)
+        n_free = total.sum() - used.sum()
+        within = weights @ np.square(y - means[self.codes]).sum(axis=1) / max(n_free, _TINY)
+        between = np.mean((total * np.square(means).sum(axis=1))[used])
+        # Positions of one row each: their deviations from themselves are rounding.
+        if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between):
+            return np.inf
+        return float(between / within)
+
+    def slip_factors(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
+
+        Groups in which no row is farther than 11 standard deviations from the others, by the median
+        of the group and of all, stay as they are; in others rows are weighed by Tukey's biweight.
+        Errors of an arm have longer tails than normal ones: poses in which it bends most are no
+        slips. Rows of weight 0 have a factor of 1.
+        """
+        factor = np.ones(len(values))
+        used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
+        used = used[np.argsort(self.codes[used], kind="stable")]
+        rows = np.split(used, np.flatnonzero(np.diff(self.codes[used])) + 1)
+        rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
+        if not rows:
+            return factor
+        counts, used = np.array([len(of) for of in rows]), np.concatenate(rows)
+        first = np.cumsum(counts) - counts
+        own = Groups(np.repeat(np.arange(len(rows)), counts))
+        centres, n_coordinates = own.medians(values[used]), values.shape[1]
+        far = np.linalg.norm(values[used] - centres, axis=1)
+        alone = own.medians(far[:, None] / np.sqrt(chdtri(n_coordinates, 0.5)))[first, 0]
+        scales = _SLIP * np.maximum(robust_scale(far, n_coordinates), alone)
+        # No row is far from the median, nor from the mean, the next centre, in most groups.
+        off = np.linalg.norm(own.means(values[used]) - centres[first], axis=1)
+        is_near = np.maximum.reduceat(far, first) + off < TUKEY_CUT * scales
+        for i in np.flatnonzero(~is_near):
+            of, scale, centre = rows[i], scales[i], centres[first[i]]
+            for _ in range(_ROUNDS):
+                left = values[of] - centre
+                factor[of] = tukey_weights(left, least_scale=scale)
+                centre = np.average(values[of], axis=0, weights=factor[of])
+        return factor
 
 
 def _labels(groups, name):
@@ -135,92 +261,6 @@ def _missing(labels):
     return np.array(
         [x == "" if isinstance(x, str) else str(x) in _MISSING for x in labels], dtype=bool
     )
-
-
-def group_sums(
-    values: np.ndarray,
-    codes: np.ndarray,
-    weights: np.ndarray | None = None,
-    n_groups: int | None = None,
-) -> np.ndarray:
-    """Weighted sum of the rows (n, ...) of each group, (n_groups, ...).
-
-    Without `n_groups` there are as many as `codes` (n,) names, from 0.
-    """
-    sums = summing(codes, weights, n_groups) @ values.reshape(len(values), -1)
-    return sums.reshape(len(sums), *values.shape[1:])
-
-
-def summing(
-    codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
-) -> np.ndarray | csc_array:
-    """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
-    n = len(codes)
-    n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
-    weights = np.ones(n) if weights is None else weights
-    if n_groups * n <= _SMALL:
-        matrix = np.zeros((n_groups, n))
-        matrix[codes, np.arange(n)] = weights
-        return matrix
-    return csc_array((weights, codes, np.arange(n + 1)), shape=(n_groups, n))
-
-
-def group_means(
-    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
-) -> np.ndarray:
-    """Weighted mean of the rows of each group, (n_groups, ...); see `group_sums`."""
-    # The sums are those of differences from the first row, so that a large mean costs no digits.
-    origin = values[0]
-    total = np.maximum(np.bincount(codes, weights), _TINY)
-    total = total.reshape(-1, *[1] * (values.ndim - 1))
-    return group_sums(values - origin, codes, weights) / total + origin
-
-
-def centred(
-    values: np.ndarray, codes: np.ndarray | None, weights: np.ndarray | None = None
-) -> np.ndarray:
-    """Rows less the weighted mean of their group; as they are where `codes` is None."""
-    return values if codes is None else values - group_means(values, codes, weights)[codes]
-
-
-def are_deviations(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> bool:
-    """Whether residuals (n, ...) are known up to a constant at each position: small means there."""
-    return share_of_means(y, codes, weights) < CENTRED
-
-
-def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
-    """Mean squares of positions' means of residuals (n, ...), over what scatter alone explains.
-
-    Of means with slips or without them, whichever is less: they may be deviations from either.
-    """
-    y = y.reshape(len(y), -1)
-    shares, factor = [_share_of_means(y, codes, weights)], slip_factors(y, codes, weights)
-    if np.any(factor < 1):
-        shares.append(_share_of_means(y, codes, weights * factor))
-    return min(shares)
-
-
-def _share_of_means(y, codes, weights):
-    """The share; infinite where nothing scatters."""
-    # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
-    weights = weights / min(weights[weights > 0].mean(), 1.0)
-    total = np.bincount(codes, weights)
-    used = total > 0
-    left = centred(y, codes, weights)
-    n_free = total.sum() - used.sum()
-    within = weights @ np.square(left).sum(axis=1) / max(n_free, 1e-300)
-    between = (total[:, None] * np.square(group_means(y, codes, weights)))[used].sum(axis=1)
-    # Positions of one row each: their deviations from themselves are rounding.
-    if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
-        return np.inf
-    return float(between.mean() / within)
-
-
-def natural_order(labels: Iterable[object]) -> list[int]:
-    """Indices of labels in the order in which cone 2 comes before cone 10."""
-    parts = [re.split(r"(\d+)", str(label)) for label in labels]
-    keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
-    return sorted(range(len(keys)), key=keys.__getitem__)
 
 
 def robust_scale(
@@ -270,54 +310,6 @@ def tukey_weights(
         return np.ones(len(distances))
     # Cut off before it is squared: of next to nothing, no overflow.
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
-
-
-def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
-    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    if codes is None:
-        return np.zeros_like(values)
-    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
-    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
-    for i, column in enumerate(values.T):
-        column = column[np.lexsort((column, of))]  # by position, and there by size
-        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
-        middle[:, i] = median[of]
-    return middle
-
-
-def slip_factors(
-    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
-) -> np.ndarray:
-    """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
-
-    Groups in which no row is farther than 11 standard deviations from the others, by the median of
-    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
-    of an arm have longer tails than normal ones: poses in which it bends most are no slips. Rows of
-    weight 0 have a factor of 1.
-    """
-    factor = np.ones(len(values))
-    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
-    used = used[np.argsort(codes[used], kind="stable")]
-    rows = np.split(used, np.flatnonzero(np.diff(codes[used])) + 1)
-    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
-    if not rows:
-        return factor
-    counts, used = np.array([len(of) for of in rows]), np.concatenate(rows)
-    group, first = np.repeat(np.arange(len(rows)), counts), np.cumsum(counts) - counts
-    centres, n_coordinates = medians_of(values[used], group), values.shape[1]
-    far = np.linalg.norm(values[used] - centres, axis=1)
-    own = medians_of(far[:, None] / np.sqrt(chdtri(n_coordinates, 0.5)), group)[first, 0]
-    scales = _SLIP * np.maximum(robust_scale(far, n_coordinates), own)
-    # No row is far from the median, nor from the mean, the next centre, in most groups.
-    off = np.linalg.norm(group_means(values[used], group) - centres[first], axis=1)
-    is_near = np.maximum.reduceat(far, first) + off < TUKEY_CUT * scales
-    for i in np.flatnonzero(~is_near):
-        of, scale, centre = rows[i], scales[i], centres[first[i]]
-        for _ in range(_ROUNDS):
-            left = values[of] - centre
-            factor[of] = tukey_weights(left, least_scale=scale)
-            centre = np.average(values[of], axis=0, weights=factor[of])
-    return factor
 
 
 def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:

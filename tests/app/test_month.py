@@ -9,7 +9,6 @@ import pytest
 
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import main
-from sklearn_raacmm.arm import solve
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 
 pytest.importorskip("jinja2")
@@ -34,10 +33,10 @@ def operator(name, seed, knock=0.0, probe=None, slip=None, machine=MACHINE):
     angles = test.data + knock
     if probe is not None:  # what the longer probe shows at the same points
         longer = test.arm.replace(probe=test.arm.probe + probe)
-        angles = solve(longer, test.arm.forward(angles), angles)[0]
+        angles = longer.solve(test.arm.forward(angles), angles)[0]
     if slip is not None:
         beside = test.arm.forward(angles[slip : slip + 1]) + np.array([0.6, -0.6, 0.5])
-        angles[slip] = solve(test.arm, beside, angles[slip : slip + 1])[0][0]
+        angles[slip] = test.arm.solve(beside, angles[slip : slip + 1])[0][0]
     names = [*(f"cone {i}" for i in range(1, 5)), "bar left", "bar right"]
     rows = ["cone," + ",".join(f"q{i} [deg]" for i in range(1, 7))]
     for label, row in zip(test.groups, np.rad2deg(angles), strict=True):

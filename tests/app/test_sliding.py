@@ -8,7 +8,6 @@ import pytest
 from sklearn_raacmm import Arm, Correction
 from sklearn_raacmm.app import main, read_table
 from sklearn_raacmm.app._sources import TableError
-from sklearn_raacmm.arm import without_first
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
 ARCSEC = np.pi / 180 / 3600
@@ -69,7 +68,7 @@ def test_a_table_of_lengths_says_what_slides_and_zeros_are_in_its_unit(tmp_path,
 
 def test_behind_its_first_joint_a_robot_on_a_rail_is_the_robot():
     bare = Arm.from_name("ur10").replace(probe=RAIL.probe, name="ur10_rail")
-    assert without_first(RAIL) == bare
+    assert RAIL.without_first() == bare
 
 
 @pytest.mark.usefixtures("quick_model")
@@ -77,7 +76,7 @@ def test_a_rail_that_stands_still_is_as_none_to_the_last_bit(tmp_path, capsys):
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
     pytest.importorskip("skops")
-    arm, rng = without_first(RAIL), np.random.default_rng(0)
+    arm, rng = RAIL.without_first(), np.random.default_rng(0)
     q = arm.random_poses(60, rng) * [1, 0.4, 0.6, 1, 1, 1]
     points = arm.forward(q + 20 * ARCSEC * np.cos(q)) + rng.normal(0, 0.02, (60, 3))
     rows = np.column_stack([np.full(60, 1500.0), np.rad2deg(q), points])

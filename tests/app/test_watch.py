@@ -8,7 +8,6 @@ import pytest
 
 from sklearn_raacmm.app import Table, _watch, main
 from sklearn_raacmm.app._report import render
-from sklearn_raacmm.arm import solve
 from sklearn_raacmm.datasets import make_single_point
 
 pytest.importorskip("jinja2")
@@ -20,7 +19,7 @@ def test():
     data = make_single_point(7, 12, random_state=4)
     angles, labels = data.data.copy(), data.groups + 1
     beside = data.nominal_arm.forward(angles[50:51]) + np.array([0.6, -0.6, 0.5])
-    angles[50] = solve(data.nominal_arm, beside, angles[50:51])[0][0]
+    angles[50] = data.nominal_arm.solve(beside, angles[50:51])[0][0]
     labels[65] = 2
     return data.nominal_arm, angles, [f"cone {label}" for label in labels]
 

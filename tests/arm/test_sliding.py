@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures
-from sklearn_raacmm.arm import scale_of
+from sklearn_raacmm.arm import JointTypes
 
 X, Y, Z, DOWN, SKEW = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0, 0.8)
 R, P, F = "revolute", "prismatic", "fixed"
@@ -123,7 +123,7 @@ def machine(request):
     joints = MACHINES[request.param]
     types = "".join("RP"[kind == P] for kind, *_ in joints if kind != F)
     rng = np.random.default_rng(3)
-    q = rng.uniform(-1, 1.5, (30, len(types))) * scale_of(types, 1.0, 1000.0)
+    q = rng.uniform(-1, 1.5, (30, len(types))) * JointTypes(types).by_type(1.0, 1000.0)
     return joints, types, q
 
 

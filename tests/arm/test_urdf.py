@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate
-from sklearn_raacmm.utils import collected_findings
+from sklearn_raacmm.utils import Finding
 
 # Of "1.5708" in these files something is said, as of any that is meant to be a right angle.
 pytestmark = pytest.mark.filterwarnings(r"ignore:.*which moves the probe by up to 0\.0")
@@ -623,7 +623,7 @@ def test_points_are_those_by_hand(text, ends, tmp_path):
 def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):
     """The second joint is tilted: half a metre of arm times the difference: .2 um, 2 um, .4 mm."""
     text = change(PLAIN, '<origin xyz="0.3 0 0"/>', f'<origin xyz="0.3 0 0" rpy="{angle} 0 0"/>')
-    with collected_findings() as found:
+    with Finding.collected() as found:
         arm = Arm.from_urdf(text)
     assert np.isin(np.round(arm.alpha, 12), np.round([-np.pi, 0, np.pi], 12)).all()
     (finding,) = found

@@ -8,7 +8,7 @@ import pytest
 from sklearn_raacmm import calibrate
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import check_length
-from sklearn_raacmm.utils import collected_findings
+from sklearn_raacmm.utils import Finding
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 POINTS, GROUPS = TEST.simulation.true_points, TEST.groups
@@ -28,7 +28,7 @@ def known(pairs, change=lambda mm: mm, only=None):
 
 
 def findings(lengths, arm=TEST.nominal_arm):
-    with collected_findings():
+    with Finding.collected():
         return calibrate(arm, TEST.data, GROUPS, lengths=lengths).findings
 
 
@@ -105,7 +105,7 @@ def test_a_long_link_that_is_another_one_is_not_handed_over(factor, weight):
     angles = rng.uniform(-1.5, 1.5, (80, 6))
     points = TEST.arm.forward(angles) + rng.normal(scale=0.02, size=(80, 3)) + [500, 0, 0]
     d = TEST.nominal_arm.d * np.where(np.arange(6) == 2, factor, 1.0)
-    with collected_findings() as found:
+    with Finding.collected() as found:
         calibrate(TEST.nominal_arm.replace(d=d), angles, points=points)
     (table,) = (one for one in found if one.code == "table-off")
     assert (table.weight, 3 in table.joints) == (weight, True)

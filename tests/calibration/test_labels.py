@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.calibration._labels import places_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.utils import FindingError, FindingWarning, collected_findings
+from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 PANDA = Arm.from_name("panda", probe=(0, 0, 138))
@@ -18,7 +18,7 @@ SMALL = ArmResidualRegressor(TEST.arm, orders=2)
 
 def found(arm, angles, groups):
     """Findings of a calibration by their codes."""
-    with collected_findings():
+    with Finding.collected():
         return {finding.code: finding for finding in calibrate(arm, angles, groups).findings}
 
 
@@ -28,7 +28,7 @@ def test_places_of_real_arms_are_the_sockets(panda, name):
     data, flange = panda(name), PANDA.replace(probe=(0, 0, 0))
     with pytest.raises(FindingError, match=f"at {len(set(data.groups))} places, of"):
         calibrate(flange, data.angles)
-    with collected_findings():  # two sockets of panda_2 did move
+    with Finding.collected():  # two sockets of panda_2 did move
         result = calibrate(flange, data.angles, accept="places-found")
     (found,) = [finding for finding in result.findings if finding.code == "places-found"]
     assert found.weight == "doubt"
@@ -39,7 +39,7 @@ def test_places_of_real_arms_are_the_sockets(panda, name):
 
 def test_rows_alone_belong_to_the_nearest_place():
     angles = np.vstack([TEST.data, TEST.data[:1] + 0.2])
-    with collected_findings() as found:
+    with Finding.collected() as found:
         groups = calibrate(TEST.nominal_arm, np.repeat(angles, 30, axis=0)).groups[::30]
     assert "places-found" in {finding.code for finding in found}
     assert adjusted_rand_score(TEST.groups, groups[:-1]) == 1
@@ -108,6 +108,6 @@ def test_exchanged_labels_and_marks_of_missing_values_are_named_by_their_rows():
         "no-reading": (3, 40, 77),
     }
     assert np.linalg.norm(found.arm.forward(TEST.data) - clean, axis=1).max() < 0.2
-    with collected_findings():
+    with Finding.collected():
         model = clone(SMALL).fit(angles, found.residuals(angles, groups=groups), groups=groups)
     assert np.flatnonzero(model.pose_weight_ == 0).tolist() == [3, 12, 40, 52, 77]

@@ -18,7 +18,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._correction import _shoulder
 from sklearn_raacmm.datasets import SimulatedArm, make_gauge, make_single_point
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "ur10", "panda"])
@@ -223,7 +223,9 @@ def test_doubts_are_named_by_their_causes():
     assert next(iter(shares)) == "probe"
     assert sum(shares.values()) == pytest.approx(1)
     assert shares["probe"] > 0.9
-    whole = np.square(centred(linear.columns(test.data) @ linear.gauge_free_half, test.groups))
+    whole = np.square(
+        Groups(test.groups).centred(linear.columns(test.data) @ linear.gauge_free_half)
+    )
     alone = linear.columns(test.data) @ np.where(wide.any(axis=1)[:, None], wide, 0)
-    expected = np.square(centred(alone, test.groups)).sum() / whole.sum()
+    expected = np.square(Groups(test.groups).centred(alone)).sum() / whole.sum()
     assert shares["probe"] == pytest.approx(expected, rel=0.05)

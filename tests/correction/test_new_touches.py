@@ -16,7 +16,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_point
 from sklearn_raacmm.metrics import fit_sphere
-from sklearn_raacmm.utils import collected_findings
+from sklearn_raacmm.utils import Finding
 
 MACHINE = SimulatedArm("eccentricity", random_state=1)
 ARCSEC = np.pi / 180 / 3600
@@ -207,7 +207,7 @@ def test_a_new_probe_is_registered_by_touches(learned):
 
 def test_a_registration_keeps_the_probe_that_few_poses_do_not_show_to_be_another(learned):
     """Of ten poses in two cones: the old one is better than what they find, another is found."""
-    with collected_findings() as found:
+    with Finding.collected() as found:
         same = make_single_point(2, 5, machine=MACHINE, random_state=5)
         kept = learned.register(same.data, same.groups)
     assert [finding.code for finding in found] == ["same-probe"]

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, FindingError, learn_correction
 from sklearn_raacmm.correction._table_search import shifted_rows
-from sklearn_raacmm.utils import ignored_findings
+from sklearn_raacmm.utils import Finding
 
 ARM = Arm.from_name("ur10")
 N = 40
@@ -41,7 +41,7 @@ def test_other_faults_are_no_shift():
 def test_learning_says_so():
     points = np.vstack([np.delete(POINTS, 11, axis=0), POINTS[-1]])
     said = "From row 11 on each point is that of the next row"
-    with ignored_findings(), pytest.raises(FindingError, match=said):
+    with Finding.ignored(), pytest.raises(FindingError, match=said):
         learn_correction(ARM, ANGLES, points=points)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
-from sklearn_raacmm.utils import share_of_means
+from sklearn_raacmm.utils import Groups
 
 ARM = Arm.from_name("aacmm6")
 RNG = np.random.default_rng(0)
@@ -22,7 +22,7 @@ def test_positions_of_one_pose_each_have_no_offsets():
     rng = np.random.default_rng(1)
     for weights in (np.ones(300), rng.uniform(0.1, 3, 300), np.full(300, 0.3)):
         groups = rng.permutation(300)
-        assert share_of_means(NOISE, groups, weights) == np.inf
+        assert Groups(groups).share_of_means(NOISE, weights) == np.inf
         found = model().fit(ANGLES, NOISE, groups=groups, sample_weight=weights)
         assert not found.offsets_
         assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)

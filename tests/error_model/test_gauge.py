@@ -10,7 +10,7 @@ from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._linear_model import place_fields
 from sklearn_raacmm.error_model._sums import without_motions
 from sklearn_raacmm.inference import Sums
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 NAMES = ("aacmm6", "panda", "ur10")
 
@@ -60,7 +60,7 @@ def test_fields_are_motions_scale_and_bends(name, gravity):
     moved = columns_of(arm, terms).at(X) @ place_fields(columns_of(arm, terms))
     size = np.linalg.norm(moved, axis=(0, 1))
     # All poses that reach a point move alike, and each field is another one.
-    assert np.abs(centred(moved, codes) / size).max() < 1e-4
+    assert np.abs(Groups(codes).centred(moved) / size).max() < 1e-4
     moved = (moved / size).reshape(-1, len(size))
     expected = polynomials(arm.forward(theta), gravity).reshape(len(moved), -1)
     assert moved.shape == expected.shape

@@ -11,7 +11,7 @@ from sklearn.base import clone
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Fading, judge
-from sklearn_raacmm.utils import ignored_findings
+from sklearn_raacmm.utils import Finding
 
 ARM = Arm.from_name("aacmm6")
 ARCSEC = np.pi / 180 / 3600
@@ -93,7 +93,7 @@ def test_what_does_harm_elsewhere_is_refused():
     fitted = model.linear_model_.predict(theta)[0]
     assert np.linalg.norm(y - fitted, axis=1).mean() < 0.5 * np.linalg.norm(y, axis=1).mean()
     assert model.fading_.most < 0.5
-    with ignored_findings():  # it may be refused altogether
+    with Finding.ignored():  # it may be refused altogether
         assert np.linalg.norm(model.predict(theta)) < 0.5 * np.linalg.norm(fitted)
 
 

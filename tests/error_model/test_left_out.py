@@ -22,7 +22,7 @@ from sklearn_raacmm.error_model._left_out import (
     with_students_quantile,
 )
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 MACHINE = SimulatedArm("none")
 LOUD = Terms(np.array([(1, 1), (2, 1), (3, 2)]), False, True, False)
@@ -65,7 +65,7 @@ def test_a_motion_of_the_base_is_no_uncertainty():
     """It is most of the posterior of a single-point test, and none of what the test can show."""
     test, _, y, _ = draw(3)
     model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"])
-    linear = model.fit(test.data, centred(y, test.groups), groups=test.groups).linear_model_
+    linear = model.fit(test.data, Groups(test.groups).centred(y), groups=test.groups).linear_model_
     columns = linear.columns(test.data)
     whole = np.sqrt(np.square(columns @ linear.half).sum(axis=2))
     assert linear.predict(test.data, return_std=True)[1].mean() < 0.5 * whole.mean()
@@ -89,7 +89,7 @@ def test_a_motion_of_the_base_is_no_uncertainty():
 def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
     """Against ridge regression on the other rows in closed form, at the variances of the whole."""
     test, _, y, _ = draw(1)
-    y = centred(y, test.groups) if single_point else y
+    y = Groups(test.groups).centred(y) if single_point else y
     weights = np.random.default_rng(0).uniform(0.5, 2, len(y))
     rows = Rows(test.arm, test.data, y, weights, test.groups if single_point else None)
     terms = Terms(np.empty((0, 2), int), False, True, False)
@@ -117,8 +117,8 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
         if single_point:
             # The scale is held in the model and at its prior here: a position does not show it.
             codes = np.unique(test.groups[of], return_inverse=True)[1]
-            left = centred(y[of] - correction[of], codes, weights[of])
-            assert_allclose(left, centred(errors, codes, weights[of]), atol=2e-5)
+            left = Groups(codes).centred(y[of] - correction[of], weights[of])
+            assert_allclose(left, Groups(codes).centred(errors, weights[of]), atol=2e-5)
             continue
         assert_allclose(correction[of], y[of] - errors, atol=1e-8)
         spread = np.sqrt(np.einsum("ncp,pq,ncq->nc", columns[of], covariance, columns[of]))

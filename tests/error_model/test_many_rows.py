@@ -12,7 +12,7 @@ from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import _fit, _left_out, _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_dask_gives_the_model_of_the_same_rows_in_memory(known, small_blocks, mo
     da, dask = pytest.importorskip("dask.array"), pytest.importorskip("dask")
     test = make_single_point(6, 60, bars=[400], random_state=0)
     test.target[5] += 3.0  # a slip, so that weights are not all 1
-    test.target[:] = centred(test.target, test.groups)
+    test.target[:] = Groups(test.groups).centred(test.target)
     options = {"groups": test.groups, "lengths": test.lengths} if known else {"groups": False}
     calls = []
     one_thread = _sums._with_one_thread
@@ -72,7 +72,7 @@ def test_sums_of_blocks_are_those_of_all_rows(monkeypatch):
     blocks = fitted(test, np.asarray, groups=test.groups)
     assert_array_equal(blocks.column_harmonics_, whole.column_harmonics_)
     # Shifts of the base are not shown: they are what rounding makes of them.
-    found = (centred(model.predict(test.data), test.groups) for model in (blocks, whole))
+    found = (Groups(test.groups).centred(model.predict(test.data)) for model in (blocks, whole))
     assert_allclose(*found, atol=1e-9)
 
 

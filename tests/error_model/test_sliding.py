@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
-from sklearn_raacmm.arm import turn_mm
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 
 ARCSEC = np.pi / 180 / 3600
@@ -71,7 +70,7 @@ def test_pitches_are_found_as_waves_in_mm(fitted):
     arm, found = fitted.arm_, {tuple(pair) for pair in fitted.linear_model_.terms.harmonics}
     for i, kind in enumerate(arm.joint_types):
         if kind == "P":
-            assert (i, int(turn_mm(arm)[i] / 10)) in found
+            assert (i, int(arm.turn_mm[i] / 10)) in found
 
 
 def test_a_moved_probe_keeps_the_causes(learnt):
@@ -114,6 +113,6 @@ def test_columns_are_derivatives(convention):
         order = {0: 7, 2: 3}[j]
         for sign, wave in ((1, np.cos), (-1, np.sin)):
             (i,) = np.flatnonzero((table["order"] == sign * order) & (np.array(names) == ""))
-            wavy = wave(2 * np.pi * order * q[:, j] / turn_mm(arm)[j])
+            wavy = wave(2 * np.pi * order * q[:, j] / arm.turn_mm[j])
             moved = arm.forward(q + arm.reach_mm * ARCSEC * np.outer(wavy, unit))
             assert_allclose(values[:, :, i], moved - arm.forward(q), atol=1e-7)

@@ -598,9 +598,9 @@ def taken(**more):
 
 
 def said_of_urdf(text):
-    from sklearn_raacmm.utils import collected_findings
+    from sklearn_raacmm.utils import Finding
 
-    with collected_findings() as found:
+    with Finding.collected() as found:
         Arm.from_urdf(text)
     return " ".join(map(str, found))
 
@@ -671,9 +671,9 @@ def test_what_is_advised_makes_nothing_worse(make, expected, tmp_path):
 
 def find_codes(name, data):
     """Codes of all findings, notes included, and the sentence of a refusal."""
-    from sklearn_raacmm.utils import collected_findings
+    from sklearn_raacmm.utils import Finding
 
-    with collected_findings() as found, warnings.catch_warnings():
+    with Finding.collected() as found, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             FUNCTIONS[name](data)

@@ -10,7 +10,7 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import _moved_positions, moved_positions
 from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
-from sklearn_raacmm.utils import numbered_rows
+from sklearn_raacmm.utils import Finding
 
 NOISE = 0.01
 # In the order of the rows; what is left of the poses is random.
@@ -159,7 +159,7 @@ def test_the_warning_names_position_rows_and_size():
     (found,) = moved_positions(left, angles, groups, numbers)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
-    with numbered_rows(np.arange(len(left)) + 100):
+    with Finding.numbered(np.arange(len(left)) + 100):
         (found,) = moved_positions(left, angles, groups, numbers)
     assert f"between rows {first + 99} and {first + 100}." in found.text
     assert found.rows == (first + 100,)

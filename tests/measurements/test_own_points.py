@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import of_own_points
-from sklearn_raacmm.utils import centred, collected_findings, medians_of
+from sklearn_raacmm.utils import Finding, Groups
 
 MORE = [pytest.param(name, marks=pytest.mark.exhaustive) for name in ("panda_6", "panda_7")]
 ARMS = {}
@@ -19,7 +19,7 @@ def real(request, panda):
     """Arm, angles, deviations and codes of a real test, calibrated once."""
     data = panda(request.param)
     if request.param not in ARMS:
-        with collected_findings():
+        with Finding.collected():
             nominal = Arm.from_name("panda", probe=(0, 0, 138))
             ARMS[request.param] = calibrate(nominal, data.angles, data.groups).arm
     arm = ARMS[request.param]
@@ -49,7 +49,7 @@ def test_each_change_is_named(real):
     reversed_[:, 3] *= -1
     exchanged[:, [1, 2]] = exchanged[:, [2, 1]]
     table = arm.replace(d=arm.d + rng.normal(0, 0.5, 7), theta_offset=rng.normal(0, 1e-3, 7))
-    f = centred(rng.normal(0, 0.1, (n, 3)), codes)
+    f = Groups(codes).centred(rng.normal(0, 0.1, (n, 3)))
     cases = [
         (angles, -y, "sign-of-residuals"),
         (angles, y / 25.4, "unit-of-residuals"),
@@ -96,10 +96,10 @@ def test_what_another_model_left_is_a_doubt():
     test = make_single_point(8, 25, random_state=3)
     wave = position_residuals(0.006 * np.sin(test.data[:, :3]), test.groups)
     model = ArmResidualRegressor(test.arm, orders=4)
-    with collected_findings():
+    with Finding.collected():
         model.fit(test.data, test.target - wave, groups=test.groups)
     assert {found.weight for found in model.findings_ if found.code == "other-table"} == {"doubt"}
-    with collected_findings():
+    with Finding.collected():
         model.fit(test.data, -test.target, groups=test.groups)
     assert [found.weight for found in model.findings_] == ["repair"]
 
@@ -107,8 +107,8 @@ def test_what_another_model_left_is_a_doubt():
 def test_medians_are_those_of_each_position():
     rng = np.random.default_rng(0)
     values, codes = rng.normal(size=(40, 3)), rng.choice([2, 5, 6, 9], 40)
-    found = medians_of(values, codes)
+    found = Groups(codes).medians(values)
     for code in (2, 5, 6, 9):
         own = values[codes == code]
         assert_array_equal(found[codes == code], np.tile(np.median(own, axis=0), (len(own), 1)))
-    assert_array_equal(medians_of(values, None), 0)
+    assert_array_equal(Groups(None).medians(values), 0)

@@ -12,7 +12,7 @@ from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._linear import prepare
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.network._search import Structure
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 from ._data import rough
 
@@ -116,7 +116,7 @@ def test_rows_with_constants_are_generalised_least_squares(rough):
     rng = np.random.default_rng(0)
     groups = np.arange(120) % 12
     weights = rng.uniform(0.5, 2, 120)
-    y = centred(Y, groups, weights)
+    y = Groups(groups).centred(Y, weights)
     given = GIVEN | {"kernel": "matern52", "n_centers": "auto" if rough else 120}
     model = RBFNetRegressor(**given)
     model.fit(X, y, sample_weight=weights, groups=groups)

@@ -6,7 +6,7 @@ import pytest
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 def grouped_wave(n=120, n_groups=8, seed=0):
@@ -15,17 +15,17 @@ def grouped_wave(n=120, n_groups=8, seed=0):
     groups = np.arange(n) % n_groups
     X = rng.uniform(-1, 1, (n, 2)) + 0.4 * groups[:, None]
     f = np.sin(X[:, 0]) + 0.3 * X[:, 1]
-    y = centred(f + 0.02 * rng.standard_normal(n), groups)
+    y = Groups(groups).centred(f + 0.02 * rng.standard_normal(n))
     return X, y, groups, f
 
 
 def test_differences_at_new_rows_are_found_better_than_without_groups():
     X, y, groups, _ = grouped_wave()
     X_new, _, of, f = grouped_wave(seed=1)
-    truth = centred(f, of)
+    truth = Groups(of).centred(f)
 
     def error(model):
-        return np.sqrt(np.mean((centred(model.predict(X_new), of) - truth) ** 2))
+        return np.sqrt(np.mean((Groups(of).centred(model.predict(X_new)) - truth) ** 2))
 
     known = RBFNetRegressor().fit(X, y, groups=groups)
     unknown = RBFNetRegressor().fit(X, y)
@@ -45,7 +45,7 @@ def test_neither_order_nor_names_nor_repeats_matter():
     np.testing.assert_array_equal(model.predict(X), other.predict(X))
     times = rng.integers(0, 3, len(y))
     rows = np.repeat(np.arange(len(y)), times)
-    y = centred(y, groups, times.astype(float))
+    y = Groups(groups).centred(y, times.astype(float))
     once = RBFNetRegressor().fit(X, y, sample_weight=times, groups=groups)
     often = RBFNetRegressor().fit(X[rows], y[rows], groups=groups[rows])
     np.testing.assert_allclose(once.predict(X), often.predict(X), rtol=1e-6, atol=1e-8)
@@ -64,8 +64,8 @@ def test_outliers_do_not_teach():
     bad = f.copy()
     bad[::20] += 5.0
     model = RBFNetRegressor(kernel="gaussian", loss="tukey")
-    model.fit(X, centred(bad, groups), groups=groups)
-    left = centred(model.predict(X) - f, groups)
+    model.fit(X, Groups(groups).centred(bad), groups=groups)
+    left = Groups(groups).centred(model.predict(X) - f)
     assert np.sqrt(np.mean(left**2)) < 0.05
     assert np.all(model.row_weight_[::20] < 0.1)
 
@@ -88,4 +88,4 @@ def test_rows_without_constants_have_independent_noise(ratio):
     np.testing.assert_allclose(T @ noise @ T.T, np.eye(30), atol=1e-7 if ratio > 1 else 1e-12)
     if ratio == 1e6:  # exact constants: what is left is the deviation from the group's mean
         T = without_constants(np.eye(30), codes, weights, ratio)
-        np.testing.assert_allclose(T, centred(np.eye(30), codes, weights), atol=2e-3)
+        np.testing.assert_allclose(T, Groups(codes).centred(np.eye(30), weights), atol=2e-3)

@@ -6,7 +6,7 @@ from scipy.stats import median_abs_deviation
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._fit import NORMAL_SQUARE
-from sklearn_raacmm.utils import TUKEY_CUT, collected_findings
+from sklearn_raacmm.utils import TUKEY_CUT, Finding
 
 
 def truth(X):
@@ -78,7 +78,7 @@ def test_heavy_tails_are_named_with_what_helps():
     rng = np.random.default_rng(0)
     X = rng.uniform(-1, 1, (300, 2))
     y = np.exp(2 * np.sin(3 * X[:, 0]) + 0.7 * rng.standard_normal(300))
-    with collected_findings() as found:
+    with Finding.collected() as found:
         model = RBFNetRegressor(random_state=0).fit(X, y)
     (finding,) = found
     assert finding.code == "heavy-tails"
@@ -90,13 +90,13 @@ def test_heavy_tails_are_named_with_what_helps():
     assert "PowerTransformer" in finding.advice
     # Rows are numbered as they were given, those without weight among them.
     unused = np.ones(10)
-    with collected_findings() as found:
+    with Finding.collected() as found:
         weights = np.append(0 * unused, np.ones(300))
         again = RBFNetRegressor(random_state=0)
         again.fit(np.vstack([X[:10] + 3, X]), np.append(unused, y), sample_weight=weights)
     np.testing.assert_array_equal(found[0].rows, 10 + np.flatnonzero(far))
     # Errors that are not normal are something else.
-    with collected_findings() as found:
+    with Finding.collected() as found:
         noise = 0.1 * rng.standard_t(3, 300)
         RBFNetRegressor(random_state=0).fit(X, np.sin(3 * X[:, 0]) + noise)
     assert not found

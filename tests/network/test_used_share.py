@@ -9,7 +9,7 @@ from sklearn_raacmm.network import _likelihood
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import used_share
 from sklearn_raacmm.network._rows import Rows
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 def of_groups(seed, n_groups=8, n_each=12, common=0.0, own=1.0):
@@ -19,7 +19,7 @@ def of_groups(seed, n_groups=8, n_each=12, common=0.0, own=1.0):
     X = rng.uniform(-2, 2, (len(groups), 2))
     slopes = own * rng.standard_normal((n_groups, 2))
     y = common * np.sin(2 * X[:, 0]) + (X * slopes[groups]).sum(axis=1)
-    return X, centred(y + 0.05 * rng.standard_normal(len(y)), groups), groups
+    return X, Groups(groups).centred(y + 0.05 * rng.standard_normal(len(y))), groups
 
 
 @pytest.mark.parametrize("ratio", [0.0, 2.0])
@@ -38,7 +38,7 @@ def test_the_share_is_that_of_models_that_never_saw_a_group(ratio):
             own, rest = codes == code, codes != code
             inner = (K + noise)[np.ix_(rest, rest)]
             f[own] = K[np.ix_(own, rest)] @ np.linalg.solve(inner, Y[rest, i])
-        f, d = centred(f, codes, w), centred(Y[:, i], codes, w)
+        f, d = Groups(codes).centred(f, w), Groups(codes).centred(Y[:, i], w)
         share = np.sum(w * d * f) / np.sum(w * f * f)
         pulls = np.bincount(codes, w * (d - share * f) * f)
         share = np.clip(share - 2 * np.linalg.norm(pulls) / np.sum(w * f * f), 0, 1)
@@ -52,8 +52,8 @@ def test_what_each_group_has_of_its_own_is_not_followed():
         X, y, groups = of_groups(seed, own=0.3)
         T, new, labels = of_groups(seed + 100, own=0.3)
         for found, known in ((alone, groups), (followed, None)):
-            left = new - centred(
-                RBFNetRegressor(random_state=0).fit(X, y, groups=known).predict(T), labels
+            left = new - Groups(labels).centred(
+                RBFNetRegressor(random_state=0).fit(X, y, groups=known).predict(T)
             )
             found.append(np.mean(np.square(left)) / np.mean(np.square(new)))
     assert max(alone) < 1.05 < max(followed)

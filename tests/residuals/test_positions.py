@@ -15,7 +15,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability, within_position_r2_score
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import Groups
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def deviations(n=90, n_positions=6, seed=0):
     groups = rng.permutation(np.arange(n) % n_positions)
     X = rng.uniform(-1, 1, (n, 2)) + 0.4 * groups[:, None]
     f = np.column_stack([np.sin(X[:, 0]), X @ [0.3, 1], X[:, 0] * X[:, 1]])
-    return X, centred(f + 0.02 * rng.standard_normal((n, 3)), groups), groups
+    return X, Groups(groups).centred(f + 0.02 * rng.standard_normal((n, 3))), groups
 
 
 def plain(regressor):

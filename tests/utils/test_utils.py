@@ -7,14 +7,7 @@ import pytest
 from scipy.stats import chi
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import (
-    _rows,
-    chunks,
-    natural_order,
-    robust_scale,
-    slip_factors,
-    tukey_weights,
-)
+from sklearn_raacmm.utils import Groups, _rows, chunks, robust_scale, tukey_weights
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -54,7 +47,7 @@ def test_two_runs_that_differ_show_from_which_stage_on(caplog):
 
 def test_labels_are_in_the_order_of_their_numbers():
     labels = ["cone 10", "cone 2", "b", "a 1 x 3", "a 1 x 20", 7]
-    assert [labels[i] for i in natural_order(labels)] == [
+    assert [labels[i] for i in Groups.in_order(labels)] == [
         7, "a 1 x 3", "a 1 x 20", "b", "cone 2", "cone 10",
     ]  # fmt: skip
 
@@ -144,6 +137,6 @@ def test_slips_are_those_of_every_round():
             scale = 2 * max(usual, robust_scale(away, 3))
             expected[of] = tukey_weights(values[of] - centre, least_scale=scale)
             centre = np.average(values[of], axis=0, weights=expected[of])
-    found = slip_factors(values, codes)
+    found = Groups(codes).slip_factors(values)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert 0 < np.count_nonzero([found[of].min() < 1 for of in groups]) < 30

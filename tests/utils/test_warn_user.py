@@ -12,7 +12,7 @@ from sklearn.pipeline import make_pipeline
 
 import sklearn_raacmm
 from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, calibrate, elbow_angle
-from sklearn_raacmm.utils import Finding, FindingWarning, collected_findings, warn_user
+from sklearn_raacmm.utils import Finding, FindingWarning, warn_user
 
 PACKAGE = str(Path(sklearn_raacmm.__file__).parent)
 ARM = Arm.from_name("aacmm6")
@@ -82,7 +82,7 @@ def test_a_finding_is_a_warning_and_a_note_is_none():
 
 def test_findings_are_collected_once_and_other_warnings_go_on():
     def collected():
-        with collected_findings() as found:
+        with Finding.collected() as found:
             DOUBT.report()
             DOUBT.report()
             warnings.warn("other", UserWarning, stacklevel=1)
