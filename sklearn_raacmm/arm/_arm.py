@@ -157,10 +157,11 @@ class Arm(ReachingChain):
     ) -> None:
         lengths = check_numbers("a", a, None, "mm", MAX_LENGTH_MM)
         n = lengths.size
+        twists = check_numbers("alpha", alpha, n, "rad", 2 * np.pi)
         types = check_types(joint_types, n)
         vars(self).update(
             a=lengths,
-            alpha=check_numbers("alpha", alpha, n, "rad", 2 * np.pi),
+            alpha=twists,
             d=check_numbers("d", d, n, "mm", MAX_LENGTH_MM),
             theta_offset=check_numbers("theta_offset", theta_offset, n, "rad", 2 * np.pi, True),
             probe=check_numbers("probe", probe, 3, "mm", MAX_LENGTH_MM),

@@ -174,7 +174,9 @@ def _finish(folder):
     """Give each file of the folder's correction its name that is still beside its place."""
     with suppress(OSError, ValueError):
         for name, digest in _read_facts(folder / _FACTS)["files"].items():
-            _whole_file(folder / name, digest)[0].replace(folder / name)
+            place, content = _whole_file(folder / name, digest)
+            if content is not None and place != folder / name:
+                place.replace(folder / name)
 
 
 @contextmanager
