@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
 from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
+from sklearn_raacmm.utils import floats
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 # Places have no order, so that no line joins them.
@@ -146,6 +147,7 @@ class RepeatabilityDisplay:
             If shapes differ, values are not finite, a position holds a single point, or `interval`
             is not between 0 and 1.
         """
+        points = floats("points", points, 3)
         sides = {"before": points, "after": _subtract(points, y_pred)}
         if perfect is not None:
             sides["floor"] = _subtract(points, perfect)
@@ -208,10 +210,8 @@ class RepeatabilityDisplay:
 
 
 def _subtract(points, correction):
-    """Take a correction (n, 3) off points (n, 3); the measures check the difference."""
-    if np.shape(points) != np.shape(correction):
-        raise ValueError(
-            f"points have shape {np.shape(points)}, but a correction {np.shape(correction)}: both "
-            "must be of shape (n_points, 3)."
-        )
-    return np.subtract(points, correction)
+    """Take a correction (n, 3) off points (n, 3), both checked."""
+    correction = floats("correction", correction, 3)
+    if len(correction) != len(points):
+        raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
+    return points - correction
