@@ -23,7 +23,7 @@ REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, LinearRegression, Ridge)
 class Chain:
     """The steps of a fitted model in the order in which data pass; a wrapper comes first.
 
-    A class, or an estimator that is not fitted, is refused.
+    A class, an estimator that is not fitted, or a chain without a step is refused.
 
     Attributes
     ----------
@@ -37,6 +37,8 @@ class Chain:
         self.model, self.steps = model, list(_leaves(model, type(model).__name__))
         for _, step in self.steps:
             check_is_fitted(step)
+        if not self.steps:
+            raise ValueError(f"{model!r:.60} has no step that computes anything.")
         self.n_inputs = int(self.steps[0][1].n_features_in_)
         arm_models = (s for _, s in self.steps if isinstance(s, ArmResidualRegressor))
         self.extra: Any = next((s.linear_model_.terms.extra for s in arm_models), ())

@@ -443,6 +443,12 @@ def test_a_joint_model_in_the_frame_of_the_azimuth(data):
         build_program(behind.fit(data.data, data.target))
 
 
+def test_a_chain_without_a_step_gets_a_sentence(tmp_path):
+    nothing = make_pipeline("passthrough").fit(np.ones((4, 3)))
+    with pytest.raises(ValueError, match="no step that computes anything"):
+        export_c(nothing, tmp_path / "nothing.c")
+
+
 @needs_compiler
 def test_a_model_of_zero_terms(data, tmp_path):
     """Nothing is found in noise, and nothing is what is written."""
