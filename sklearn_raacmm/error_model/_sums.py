@@ -507,10 +507,10 @@ class _Block:
         """What the waves of each joint share at rows, of which `every` are the waves."""
         if (found := self.held.get(k)) is None:
             angles = self.angles[self.parts[k]]
-            if every is None and not all(self.is_on_grid):
-                every = self.columns.waves(angles).view(complex)
+            missing = every is None and not all(self.is_on_grid)
+            waves: Any = self.columns.waves(angles).view(complex) if missing else every
             found = [
-                (_spread(angles[:, joint], orders) if on_grid else every[:, pairs].view(float)).T
+                (_spread(angles[:, joint], orders) if on_grid else waves[:, pairs].view(float)).T
                 for on_grid, (joint, orders, pairs) in zip(self.is_on_grid, self.spans, strict=True)
             ]
             if len(self.held) < self.n_held:

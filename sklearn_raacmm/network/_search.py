@@ -134,7 +134,7 @@ def search(
     if not decides:
         raw = start is None or start.ranks is None
         inputs = [knots for knots in inputs if (knots is None) == raw] or inputs
-        kernels = kernels[:1] if refit == 1 else (start.kernel,)
+        kernels = kernels[:1] if start is None or refit == 1 else (start.kernel,)
         constants = constants and (start is None or start.ratio > 0)
 
     def seen(ranks):
