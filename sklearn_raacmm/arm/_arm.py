@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from html import escape
 from numbers import Integral
@@ -209,10 +209,11 @@ class Arm(ReachingChain):
     def __deepcopy__(self, memo: object) -> Self:
         return self
 
-    def __setattr__(self, name: str, value: object = None) -> NoReturn:
+    def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(f"an arm is a value: arm.replace({name}=...) makes another one.")
 
-    __delattr__ = __setattr__
+    def __delattr__(self, name: str) -> NoReturn:
+        self.__setattr__(name, None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
@@ -332,7 +333,7 @@ class Arm(ReachingChain):
             raise ValueError(f"X has {n_columns} columns, but {needed}.")
         return arm
 
-    usual_pose = staticmethod(usual_pose)
+    usual_pose: Callable[[int, bool, str], dict[str, Any]] = staticmethod(usual_pose)
 
     # In this module, as its class: skops knows a method that a model holds by both.
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:

@@ -109,7 +109,14 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
 
 
-def touched_rows(features, labels, codes, points, y, weights):
+def touched_rows(
+    features: Any,
+    labels: np.ndarray,
+    codes: np.ndarray,
+    points: np.ndarray,
+    y: np.ndarray,
+    weights: np.ndarray,
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.

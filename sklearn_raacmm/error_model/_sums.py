@@ -377,7 +377,9 @@ def length_equations(rows, columns):
     return Extra(moved, measured - length, np.square(sd), share.sum(axis=1))
 
 
-def known_lengths(forms, ends, points, found):
+def known_lengths(
+    forms: tuple[Form | None, ...], ends: np.ndarray, points: np.ndarray, found: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """What lengths (l,) measure, mm, and their slopes by the unknowns of both ends, (2, l, q).
 
     Of what was touched, `points` (g, q) are the unknowns of the arm's points, and `found` those of

@@ -93,7 +93,8 @@ class Features:
     """
 
     def __init__(self, kinds: Sequence[str], codes: np.ndarray) -> None:
-        self.kinds, self.codes = list(kinds), codes
+        self.kinds: list[str] = list(kinds)
+        self.codes: np.ndarray = codes
         self.sizes: list[tuple[int, int, float, float, int]] = []
 
     @classmethod

@@ -40,13 +40,17 @@ class Whitening:
         rank: np.ndarray | float = 3.0,
     ) -> None:
         # With the root of the weight, 0 along what a row does not show.
-        self.root = np.sqrt(weights)[:, None, None] * (np.eye(3) if root is None else root)
+        self.root: np.ndarray = np.sqrt(weights)[:, None, None] * (
+            np.eye(3) if root is None else root
+        )
         self.feature: Any = feature  # (n,) from 0; None: no row has unknowns
         self.unit: Any = None  # (n_features, q, q) E: unknowns by what makes their precision 1
         self.moves: Any = None  # (n, 3, q) B E
         self.basis: Any = None  # (n, 3, q) W B E
         self.precision: Any = None  # (n_features, q) of the unknowns, along those of E
-        self.n_observations = float(np.sum(rank * weights))  # less what the unknowns have taken
+        self.n_observations: float = float(
+            np.sum(rank * weights)
+        )  # less what the unknowns have taken
         if feature is None:
             return
         side = self.root if unknowns is None else self.root @ unknowns

@@ -74,7 +74,8 @@ class Groups:
     __slots__ = ("codes", "n_groups")
 
     def __init__(self, codes: Any, n_groups: int | None = None) -> None:
-        self.codes, self.n_groups = codes, n_groups
+        self.codes: Any = codes
+        self.n_groups: int | None = n_groups
 
     @staticmethod
     def encoded(
@@ -123,7 +124,7 @@ class Groups:
         old = old[np.argsort(first)]
         return np.argsort(old)[self.codes], old
 
-    def matrix(self, weights: np.ndarray | None = None) -> np.ndarray | csc_array:
+    def matrix(self, weights: np.ndarray | None = None) -> Any:
         """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
         n = len(self.codes)
         n_groups = int(self.codes.max()) + 1 if self.n_groups is None else self.n_groups
