@@ -198,7 +198,7 @@ def _check_size(n_cells):
         raise TableError(f"{n_cells} cells, more than the {_MOST_CELLS} that a table may have")
 
 
-def strip_mark(cells: Sequence[Any]) -> tuple[Sequence[Any], bool]:
+def strip_mark(cells: Sequence[object]) -> tuple[Sequence[object], bool]:
     """Cells of a line without the mark of a comment, and whether it has one."""
     mark = _COMMENT.match(str(cells[0]))
     if not mark:

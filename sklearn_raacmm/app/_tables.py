@@ -172,7 +172,7 @@ class Layout(Columns):
         if labelled and named is None and (not points or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
             self.position_column = self.find_position(taken, needed)
-        factor: Any = 1.0
+        factor: float | np.ndarray = 1.0
         turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
         if counts_per_turn is not None:
             turns = np.asarray(counts_per_turn, dtype=float)

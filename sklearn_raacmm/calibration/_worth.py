@@ -98,7 +98,7 @@ def _identified(fit, names):
     per_reach = angle | np.array([name.startswith("scale") for name in names])
     unit = np.where(per_reach, 1 / reach, 1.0)
     root, covariance = np.zeros((0, 0)), np.zeros((0, 0))
-    larger: Any = 0.0
+    larger: float | np.ndarray = 0.0
     if mask.any():
         root = triangle(fit.rows(fit.x, mask, with_prior=False))[:, :-1]
         covariance, larger = covariance_of(fit), _scaled_by_misfit(fit)

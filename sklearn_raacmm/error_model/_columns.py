@@ -353,10 +353,16 @@ class FactoredColumns:
     `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them.
     """
 
-    def __init__(self, spans: list[Any], vectors: Any, waves: Any, rest: np.ndarray) -> None:
-        self.spans: list[Any] = spans
-        self.vectors: Any = vectors
-        self.waves: Any = waves
+    def __init__(
+        self,
+        spans: list[tuple[int, int]],
+        vectors: np.ndarray,
+        waves: np.ndarray,
+        rest: np.ndarray,
+    ) -> None:
+        self.spans: list[tuple[int, int]] = spans
+        self.vectors: np.ndarray = vectors
+        self.waves: np.ndarray = waves
         self.rest: np.ndarray = rest
 
     def dot(self, coef: np.ndarray) -> np.ndarray:
@@ -398,7 +404,7 @@ class Root:
     its rows and the columns from its first on: what stands behind the run counts twice.
     """
 
-    def __init__(self, half: np.ndarray, spans: list[Any]) -> None:
+    def __init__(self, half: np.ndarray, spans: list[tuple[int, int]]) -> None:
         m = len(half)
         n_waves = spans[-1][1] if spans else 0
         order = np.roll(np.arange(m), -n_waves)

@@ -341,7 +341,7 @@ class Fit:
         if rows.noise is None:
             rows = rows._replace(noise=even_noise(self.levers, rows.weights))
         extra: Any = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA)
-        unused: list[Any] = []
+        unused: list[int | None] = []
         while True:
             self.structures: Structures = structures_of(columns, with_field, unused)
             # From the rows as they were: what is left out of the model leaves no trace in their

@@ -334,6 +334,6 @@ OPERATIONS = {
 }
 
 # Operations by the functions of NumPy that make them.
-_FUNCTIONS: dict[Any, str] = {np.less: "less"}
+_FUNCTIONS: dict[np.ufunc, str] = {np.less: "less"}
 _FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
 del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only
