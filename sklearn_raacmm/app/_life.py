@@ -205,7 +205,7 @@ def check(options):
     try:
         _refuse_other_writers(saved, options.model)
         name = "mean 2S" if by_spread else "mean distance"
-        measure: Any = (name, *map(facts.get, _SIDES)) if _SIDES[0] in facts else ()
+        measure = (name, *map(facts.get, _SIDES)) if _SIDES[0] in facts else ()
         step = step_of("check", today, facts, *measure)
         # A check changes no model: its file is written again as it is, without importing skops.
         model = (options.model / "model.skops").read_bytes()
@@ -436,7 +436,7 @@ def save_step(correction, out, step, today, page="", contents=()):
         step["model"] = card["fingerprint"]
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    known: Any = {"findings": [f"{one.weight}: {one}" for one in correction.findings]}
+    known = {"findings": [f"{one.weight}: {one}" for one in correction.findings]}
     known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}
     card |= {name: fact for name, fact in known.items() if fact}
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -108,7 +107,7 @@ def _right_labels(fit):
     """
     index, sigma = fit.problem.index, fit.sigma
     # The probe may not be known: as most of the labels have it.
-    codes: Any = places_of(fit.of(free=["probe"], loss="cauchy").points())
+    codes = places_of(fit.of(free=["probe"], loss="cauchy").points())
     for _ in range(2):
         if codes is None or 2 * np.sum(_renamed(codes, index) != index) > len(index):
             return None

@@ -240,7 +240,7 @@ def _read(node, file, kinds, made):
 
     known, loader, name = node.get("__id__"), node["__loader__"], node["__class__"]
     whole_name = f"{node['__module__']}.{name}"
-    kind: Any = kinds.get(whole_name)
+    kind = kinds.get(whole_name)
     value: Any
     if known in made:
         return made[known]

@@ -136,7 +136,7 @@ def convert(program):
     """A program as an ONNX model: input X; outputs y, and std if the program has it."""
     program, graph = program.pruned("y", "std"), _Graph()
     helper, proto = graph.onnx.helper, graph.onnx.TensorProto
-    values: Any = [_Traced(graph, "X", np.zeros((1, program.n_inputs)))]
+    values = [_Traced(graph, "X", np.zeros((1, program.n_inputs)))]
     for op in program.ops[1:]:
         inputs = [values[i] for i in op.inputs]
         values.append(OPERATIONS[op.name](*inputs, **op.given))
