@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from html import escape
 from numbers import Integral
@@ -333,7 +333,25 @@ class Arm(ReachingChain):
             raise ValueError(f"X has {n_columns} columns, but {needed}.")
         return arm
 
-    usual_pose: Callable[[int, bool, str], dict[str, Any]] = staticmethod(usual_pose)
+    @staticmethod
+    def usual_pose(n_joints: int, parallel: bool, convention: str) -> dict[str, Any]:
+        """Joints and frames that usually make the pose of an arm of so many joints.
+
+        Parameters
+        ----------
+        n_joints : int
+            Number of joints.
+        parallel : bool
+            Whether the axes of joints 2 and 3 are parallel, as on a UR10.
+        convention : {"standard", "modified"}
+            Of the table.
+
+        Returns
+        -------
+        dict
+            `pose_joints` and `pose_frames`, as the constructor takes them.
+        """
+        return usual_pose(n_joints, parallel, convention)
 
     # In this module, as its class: skops knows a method that a model holds by both.
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
