@@ -671,8 +671,8 @@ def refused_in_residuals():
     def by_azimuth(azimuth, y=ones):
         return CylindricalResidualTarget(azimuth=azimuth).fit(ones, y)
 
-    yield by_azimuth, "azimuth", [lambda X: X[:, :2]], r"shape \(4, 2\), but one angle .* \(4,\)"
-    yield by_azimuth, "azimuth", [lambda X: X[1:, 0]], r"shape \(3,\), but one angle .* \(4,\)"
+    yield by_azimuth, "azimuth", [lambda X: X[:, :2]], r"shape \(4, 2\), but \(4,\) is needed"
+    yield by_azimuth, "azimuth", [lambda X: X[1:, 0]], r"shape \(3,\), but \(4,\) is needed"
     nothing = "azimuth holds 4 values that are missing, NaN"
     yield by_azimuth, "azimuth", [lambda X: X[:, 0] * np.nan], nothing
     yield partial(by_azimuth, lambda X: X[:, 0]), "y", [np.ones((4, 5))], "y has 5 columns, but a"

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import InconsistentVersionWarning
+from sklearn.preprocessing import FunctionTransformer
 
 import sklearn_raacmm
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, RBFNetRegressor
@@ -271,6 +272,14 @@ def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
     assert hash(loaded) == hash(data.arm)
     with pytest.raises(ValueError, match="read-only"):
         loaded.d[0] = 0.0
+
+
+@pytest.mark.parametrize("name", ["forward", "frames", "jacobian", "azimuth"])
+def test_a_method_of_an_arm_is_the_same_after_skops(skops, name):
+    arm = Arm.from_name("ur10")
+    content = skops.dumps(FunctionTransformer(getattr(arm, name)))
+    again = skops.loads(content, trusted=skops.get_untrusted_types(data=content))
+    assert (again.func.__self__, again.func.__name__) == (arm, name)
 
 
 def test_an_earlier_folder_knows_the_scale_of_its_calibration(skops):

@@ -67,7 +67,7 @@ def _joints(table, n, joint_names, taken, slides):
     # Of a table by hand, whose joints have no names, the order is known where a maker gives names.
     every = [own for own in (joint_names or (), Arm.from_name("ur10").names) if len(own) == n]
     tried = [_by_names_of_joints(table, names, own) for own in every]
-    if joints := next(filter(None, tried + _series(table, names, n) * bool(states)), None):
+    if joints := next(filter(None, tried + _series(table, names, n) * (len(states) == n)), None):
         shown = ", ".join(table.header[i] for i in joints)
         table.note(f"Joint angles, by the names of joints: {shown}.")
         return joints
@@ -195,7 +195,8 @@ def _by_names_of_joints(table, names, joint_names):
     for joint in joint_names:
         word = re.escape(joint.lower().removesuffix("_joint"))
         pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
-        fitting = [i for i, name in enumerate(names) if pattern.search(name)]
+        fitting = [i for i, name in enumerate(names) if name == joint.lower()]
+        fitting = fitting or [i for i, name in enumerate(names) if pattern.search(name)]
         columns.append(_measured_angles(table, fitting))
     found = {one[0] for one in columns if len(one) == 1}
     return [column for (column,) in columns] if len(found) == len(joint_names) else None

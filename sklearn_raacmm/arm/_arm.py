@@ -274,6 +274,8 @@ class Arm(ReachingChain):
         """
         return Arm(**{**self.__getstate__(), **changes})
 
+    __replace__ = replace  # what `copy.replace` of Python 3.13 calls
+
     @staticmethod
     def check(arm: object) -> None:
         """Refuse what is no arm.
@@ -314,8 +316,15 @@ class Arm(ReachingChain):
 
         Raises
         ------
+        TypeError
+            If `arm` is something else.
         ValueError
             If there are more columns, or fewer.
+
+        Warns
+        -----
+        FindingWarning
+            If it is None.
         """
         if arm is None:
             text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose "
@@ -512,7 +521,14 @@ class Arm(ReachingChain):
         -------
         Arm
             In the modified convention, with the same axes, but those that are taken as parallel.
+
+        Raises
+        ------
+        ValueError
+            If `table` or `probe` has another shape, or something is not a finite number.
         """
+        table = floats("table", table, 4)
+        probe = check_numbers("probe", probe, 3, "mm", MAX_LENGTH_MM)
         return cls(**fields_of_far_axes(table, probe), **fields)
 
     def seen_from(self, positioner: "Arm", base: ArrayLike) -> "Arm":
@@ -569,6 +585,11 @@ class Arm(ReachingChain):
         Returns
         -------
         Arm
+
+        Raises
+        ------
+        ValueError
+            If there is one joint only, or a coupling with the first.
         """
         up = self.frames(np.zeros((1, self.n_joints)))[0, 1, :, :3].T @ self.up
         changes: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
@@ -762,6 +783,11 @@ class Arm(ReachingChain):
         if out is not None:
             check_places([out])
         return _write_text(write_into_urdf(self, original, base, tip), out)
+
+
+# skops knows a method that a model holds by its module and its class: those of `Arm`.
+for _method in (Arm.forward, Arm.frames, Arm.jacobian, Arm.angles_for):
+    _method.__module__ = __name__
 
 
 def _write_text(text, path):

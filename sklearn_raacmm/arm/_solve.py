@@ -154,7 +154,7 @@ class ReachingChain(Chain):
             if correction is not None:
                 shift, turn = correction(angles[open_], open_)
                 aim = aim + shift
-                if turned is not None:
+                if turned is not None and turn is not None:
                     turned = Rotation.from_rotvec(turn).as_matrix() @ turned
             gap = self._gaps(aim, turned, angles[open_])
             off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)

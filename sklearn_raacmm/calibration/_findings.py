@@ -62,8 +62,9 @@ def findings_of_fit(fit, result, bare):
         )
         yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
-    scatter = result.typical_scatter_mm
-    for part in (label_findings(fit, result, numbers), _lengths(fit, result)):
+    kept = numbers[~np.isin(numbers, result.outliers)]  # a pose once, however long it was held
+    scatter = float(np.linalg.norm(result.residuals_mm[kept], axis=1).mean())
+    for part in (label_findings(fit, result, numbers, scatter), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):

@@ -476,10 +476,11 @@ class Fit:
         """
         slope = self.scale[mask[: len(self.scale)]]
         scale, by_length = self.scale @ x[: len(self.scale)], np.flatnonzero(slope)
-        is_tracked = self.n_stations
-        parts = self._beside_points(x, mask) if is_tracked else self._beside_touched(x, mask, at)
+        parts = (
+            self._beside_points(x, mask) if self.n_stations else self._beside_touched(x, mask, at)
+        )
         for part, rows in parts:
-            if scale > 0 and not is_tracked:
+            if scale > 0 and not self.n_stations:
                 rows /= scale
                 rows[:, :, by_length] -= rows[:, :, -1:] * (slope[by_length] / scale)
             rows *= (np.sqrt(self.weights[part]) / self.sigma)[:, None, None]

@@ -79,10 +79,10 @@ def _one_place_mm(centres, sigma, price, n_tried):
     return sigma * np.sqrt(2 * max(nats, 0.0))
 
 
-def label_findings(fit, result, numbers) -> Iterator[Finding]:
+def label_findings(fit, result, numbers, scatter) -> Iterator[Finding]:
     """Labels that do not fit where the probe was, and one place under two.
 
-    `numbers` (n,) are what the rows are called.
+    `numbers` (n,) are what the rows are called, `scatter` is the mean of poses in mm.
     """
     if fit.problem.points is None:
         labels = fit.problem.labels
@@ -92,7 +92,7 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
             yield from fit.problem.touched.findings(*known)
             yield from _no_readings(fit.angles, far, numbers)
             return
-        right = _right_labels(fit) if result.typical_scatter_mm > MUCH_SCATTER_MM else None
+        right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
         sigma = result.outlier_limit_mm / _LIMIT_SDS
         yield from _wrong_labels(fit, right, labels, numbers, far, sigma)
         yield from _no_readings(fit.angles, far, numbers)

@@ -66,7 +66,7 @@ class Data:
         self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths]
         kinds = zip(ends, measured.features or [], strict=False)
         self.kinds = {label: kind for label, kind in kinds if kind != "cone"}
-        self.n_shown = np.broadcast_to(measured.n_shown, len(codes))
+        self.n_shown = measured.n_shown
         self.held = self.n_shown == 3
         given = codes[pose]
         tied = [i for entry in measured.lengths for i in entry[:2]]
@@ -192,6 +192,8 @@ class Data:
 
     def length_errors(self, points, rows, entries, robust=False):
         """Errors of known lengths, mm, in points (n, 3) of these rows."""
+        if not entries:
+            return np.empty(0)
         form = self._about_forms(points, rows, robust)[1]
         found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
         return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])

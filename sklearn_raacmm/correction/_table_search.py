@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import with_found_zeros
+from sklearn_raacmm.measurements import Explanation
 from sklearn_raacmm.utils import Finding, Groups, align
 
 # Rows that candidates are ranked on, how many are then looked at, and how many of each hand of them
@@ -38,7 +39,6 @@ _OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
 # this share of what they differ by as they stand, and those before them do: half of a metre and
 # some centimetres, where the arm is known badly, are a tenth.
 _LEFT = 0.2
-_FEWEST_ROWS = 8
 # Axes of a tracker's points as they are, and with two exchanged.
 _AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
 
@@ -236,8 +236,9 @@ def _rarer_changes(arm, measured, others):
         parts = [_quick_scatter(as_given, angles[m], None, points[m]) for m in (~late, late)]
         return float(np.average(parts, weights=[row, n - row]))
 
-    if n >= 2 * _FEWEST_ROWS:
-        rows = np.unique(np.linspace(_FEWEST_ROWS, n - _FEWEST_ROWS, _SPLITS).astype(int)).tolist()
+    least = Explanation.LEAST_ROWS
+    if n >= 2 * least:
+        rows = np.unique(np.linspace(least, n - least, _SPLITS).astype(int)).tolist()
         k = rows.index(min(rows, key=left))
         row = min(range(rows[max(k - 1, 0)], rows[min(k + 1, len(rows) - 1)] + 1), key=left)
         late, (before, behind) = np.arange(n) >= row, Finding.row_numbers([row - 1, row])
@@ -484,7 +485,7 @@ def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | 
     their poses, so that neither the frame of the points nor the arm has to be known well.
     """
     n = len(angles)
-    if n < _FEWEST_ROWS:
+    if n < Explanation.LEAST_ROWS:
         return None
     measured, known = (
         np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (points, arm.forward(angles))
@@ -498,7 +499,7 @@ def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | 
         # From point k on: the steps before it, but for the last, which leads there, and from it on.
         before = np.r_[0.0, 0.0, np.cumsum(as_given)[:-1]]
         left = before + np.r_[np.cumsum(moved[::-1])[::-1], 0.0]
-        k = int(np.argmin(left[: n - _FEWEST_ROWS // 2]))
+        k = int(np.argmin(left[: n - Explanation.LEAST_ROWS // 2]))
         found.append((float(left[k]), k, shift, moved))
     _, k, shift, moved = min(found, key=lambda one: one[0])
     size = _LEFT * np.median(as_given[k:])

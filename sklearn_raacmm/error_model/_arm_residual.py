@@ -34,6 +34,7 @@ from sklearn_raacmm.error_model._left_out import (
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.measurements import PointCorrectionMixin
 from sklearn_raacmm.utils import (
+    Finding,
     Floats,
     check_flags,
     is_dask,
@@ -457,7 +458,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""
-        return self.arm_.forward(check_poses(self, X)[:, : self.arm_.n_joints])
+        return self.arm_.points_at(check_poses(self, X)[:, : self.arm_.n_joints])
 
     def _knows_deviations_only(self):
         return self.offsets_
@@ -626,7 +627,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
                     return shift, None
                 return shift, in_rad.fading(rows)[:, None] * linear.turns(rows)
 
-        angles = self.arm_.angles_for(points, X[:, :n], orientations, correction=correction)
+        with Finding.collected():  # of the starts, which have been checked in the model's unit
+            angles = self.arm_.angles_for(points, X[:, :n], orientations, correction=correction)
         return self.arm_.in_unit(angles, self.angle_unit)
 
     def fading(self, X: ArrayLike) -> Floats:

@@ -52,6 +52,9 @@ _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
 BASE_MOTIONS = ("d1", "theta_offset1", *_BASE)
 # Shorter lengths of the table do not grow: 1 mm of aluminium grows by 0.02 um per K.
 _LEAST_GROWING_MM = 1.0
+# Waves of one joint from which on a product per joint is faster than the columns themselves: ten
+# times with 318 harmonics of a UR10; of one row and few waves half as fast.
+_LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
 _OF_END = 0.5
@@ -510,8 +513,13 @@ class Columns:
 
     @property
     def spans(self) -> list[Any]:
-        """First and last column of each run of waves: see `FactoredColumns`."""
+        """First and last column of each run of waves, those of a joint."""
         return self._plan.spans
+
+    @property
+    def runs(self) -> list[Any]:
+        """The spans that `factored` leaves as factors: none where all are short."""
+        return self._plan.runs
 
     def _parts(self, rows):
         """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
@@ -542,7 +550,7 @@ class Columns:
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
         out = np.empty((len(rows), 3, self.n_waves + len(self.others)))
-        found = self.factored(rows, out[:, :, self.n_waves :])
+        found = self.factored(rows, out[:, :, self._plan.rest :])
         for i, (start, end) in enumerate(found.spans):
             vector, waves = found.vectors[:, :, i, None], found.waves[:, None, start:end]
             np.multiply(vector, waves, out=out[:, :, start:end])
@@ -577,25 +585,24 @@ class Columns:
         return waves.view(float)
 
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> FactoredColumns:
-        """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
+        """Columns at rows: long runs of waves stay factors, the others may go into `out`."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = self.arm.axis_vectors(angles, probes)
         wave_phase = self.arm.phases(angles)
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):
-            # See `_gravity`.
-            up = self.upright(vectors) if self.arm.up_frame else self.up
-            across = np.cross(up[..., None, :], np.eye(3)).swapaxes(-1, -2)
-            lever = places.take(plan.load_at, axis=2) - places.take(plan.load_frame, axis=2)
-            torques = vectors.take(plan.load_x, axis=2) * (across @ lever)
-            factor[:, plan.loads] *= torques.sum(axis=1)
+            up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
+            factor[:, plan.loads] *= _torques(plan, up, vectors, places)
         if len(plan.grows):
             along = np.take(vectors, plan.which[plan.grows], axis=2)
             far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
             factor[:, plan.grows] *= np.einsum("ncp,ncp->np", along, far)
         phase = wave_phase[:, plan.wave_joint] * plan.wave_order
-        factor[:, plan.waves] *= np.stack([np.cos(phase), np.sin(phase)], 2).reshape(len(rows), -1)
+        wave = np.empty((len(rows), 2 * len(plan.wave_order)))
+        np.cos(phase, out=wave[:, ::2])
+        np.sin(phase, out=wave[:, 1::2])
+        factor[:, plan.waves] *= wave
         if self.terms.extra:
             if probes is not None:  # each grows in proportion to itself
                 grown = plan.grown_axis
@@ -604,8 +611,11 @@ class Columns:
             factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
             factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
         rest = np.multiply(vectors.take(plan.which, axis=2), factor[:, None], out=out)
+        if not plan.runs:
+            none = np.empty((len(rows), 0))
+            return FactoredColumns([], none, none, rest)
         along = vectors.take(plan.run_which, axis=2) * plan.run_unit
-        return FactoredColumns(plan.spans, along, self.waves(wave_phase), rest)
+        return FactoredColumns(plan.runs, along, self.waves(wave_phase), rest)
 
 
 def torque_axis(table: np.ndarray) -> np.ndarray:
@@ -622,15 +632,18 @@ class _Plan:
         axis = 3 * table["frame"] + table["axis"]
         shifts = np.isin(table["kind"], (SHIFT, LEAN, GROW))
         which = axis + n_axes * shifts  # into the `axis_vectors`
-        # Runs of columns (first, last): the waves of a joint, which share one vector.
+        # First and last column of each span, the waves of a joint, which share one vector.
         firsts = np.flatnonzero(np.diff(which[:n_waves], prepend=-1))
         ends = [*firsts[1:].tolist(), n_waves]
         self.spans = list(zip(firsts.tolist(), ends, strict=True)) if n_waves else []
         self.run_which, self.run_unit = which[firsts], table["unit"][firsts]
-        rest, axis = table[n_waves:], axis[n_waves:]
+        # Those that stay factors, or none; columns from `rest` on are selected by `which`.
+        self.runs = self.spans if n_waves >= _LONG_RUN * len(self.spans) else []
+        self.rest = n_waves if self.runs else 0
+        rest, axis = table[self.rest :], axis[self.rest :]
         cosines = rest[rest["order"] > 0]
         self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
-        self.which, self.unit = which[n_waves:], rest["unit"]
+        self.which, self.unit = which[self.rest :], rest["unit"]
         self.waves = _places(rest["order"])
         self.loads = _places(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors
@@ -644,8 +657,21 @@ class _Plan:
         self.means = np.array([reference[0] for _, reference in columns.terms.extra])
         # Growth of the probe.
         grows = [c.family == TEMPERATURE and c.name[:6] == "probe_" for c in columns.others]
-        self.grown = np.flatnonzero(grows)
+        self.grown = n_waves - self.rest + np.flatnonzero(grows)
         self.grown_axis = rest["axis"][self.grown]
+
+
+def _torques(plan, up, vectors, places):
+    """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
+    torques, u = 0.0, vectors.take(plan.load_x, axis=2)
+    lever = places.take(plan.load_at, axis=2)
+    lever -= places.take(plan.load_frame, axis=2)
+    for k in (0, 1, 2):
+        if up.ndim == 1 and up[k] == 0:
+            continue  # of an upright arm two of three products are none
+        i, j = (k + 1) % 3, (k + 2) % 3
+        torques = torques + up[k] * (u[:, j] * lever[:, i] - u[:, i] * lever[:, j])
+    return torques
 
 
 def _places(wanted):

@@ -17,8 +17,10 @@ from scipy.optimize import minimize
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
+    HARMONICS,
     KINEMATICS,
     LOAD,
+    SMOOTH,
     Columns,
     columns_of,
     parsed,
@@ -502,9 +504,9 @@ def model_of(rows, columns, state):
     Harmonics come first, by joint, then the other columns.
     """
     order = np.roll(np.arange(len(state.coef)), 2 * len(state.pairs))
-    offered, half, line = columns.terms.harmonics, state.half[order], len(FAMILIES) - 2
+    offered, half = columns.terms.harmonics, state.half[order]
     families = np.unique(columns.family).tolist()
-    families += [line] * bool(len(offered)) + [line + 1] * state.with_field
+    families += [HARMONICS] * bool(len(offered)) + [SMOOTH] * state.with_field
     noise = rows.noise.scaled(state.noise_variance)
     model = LinearModel(
         layout=columns.with_harmonics(offered[state.pairs]),
@@ -549,10 +551,8 @@ def better_vertical(fitted):
     def evidence(up):
         return _evidence_and_coef(up, *left)[0]
 
-    stated, price = (
-        few.up,
-        0.0 if few.terms.up else _PRICE_OF_VERTICAL,
-    )  # one that has paid is made better
+    # One that has paid is made better.
+    stated, price = few.up, 0.0 if few.terms.up else _PRICE_OF_VERTICAL
     up = max([stated, *_DIRECTIONS], key=evidence)
     across = _FIRST_STEP * np.linalg.svd(up[None])[2][1:]
 

@@ -282,13 +282,13 @@ class LinearModel:
 
     @cached_property
     def _std_root(self):
-        return Root(self.gauge_free_half, self.layout.spans)
+        return Root(self.gauge_free_half, self.layout.runs)
 
     @cached_property
     def _fading_root(self):
         if self.informed_half is None:
             return self._std_root
-        return Root(self.informed_half, self.layout.spans)
+        return Root(self.informed_half, self.layout.runs)
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""

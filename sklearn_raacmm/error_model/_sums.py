@@ -77,9 +77,8 @@ class Noise(NamedTuple):
 
     of_joints: np.ndarray  # (n_joints,) variance of each angle, rad^2
     of_rows: float  # variance of a coordinate beside that, mm^2
-    lever_mm: (
-        np.ndarray
-    )  # (n_joints,) root mean square of what a radian of it moves a coordinate by
+    # Root mean square of what a radian of each moves a coordinate by, (n_joints,).
+    lever_mm: np.ndarray
 
     @property
     def shares(self) -> np.ndarray:
@@ -511,10 +510,11 @@ class _Block:
             angles = self.angles[self.parts[k]]
             missing = every is None and not all(self.is_on_grid)
             waves: Any = self.columns.waves(angles).view(complex) if missing else every
-            found = [
-                (_spread(angles[:, joint], orders) if on_grid else waves[:, pairs].view(float)).T
-                for on_grid, (joint, orders, pairs) in zip(self.is_on_grid, self.spans, strict=True)
-            ]
+            found = []
+            for on_grid, (joint, orders, pairs) in zip(self.is_on_grid, self.spans, strict=True):
+                # Copied, lest what is held hold the waves of all joints.
+                own = _spread(angles[:, joint], orders) if on_grid else waves[:, pairs].copy()
+                found.append((own if on_grid else own.view(float)).T)
             if len(self.held) < self.n_held:
                 self.held[k] = found
         return found

@@ -1,9 +1,9 @@
 """What may be wrong with residuals: one table of explanations, for every function that asks.
 
-`WORDS` says what each is called and what to do about it, `Explanation.of` what it does to the data.
-Where a model says how residuals scatter, likelihoods are compared by `Explanation.likeliest`;
-deviations of a single-point test are those of the arm's own points to the last digit, and compared
-with them.
+`WORDS` says what each is called and what to do about it, `Explanation.of_residuals` what it does to
+the data. Where a model says how residuals scatter, likelihoods are compared by
+`Explanation.likeliest`; deviations of a single-point test are those of the arm's own points to the
+last digit, and compared with them.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -176,11 +176,12 @@ class Explanation:
             yield cls("joints", words, y - predict(changed), every, _JOINTS)
         yield from _late(y, expected, codes)
         if codes is None and motions is not None and len(y) >= 3 * cls.LEAST_ROWS:
-            left = y - expected
+            row, left = _moved_from(y - expected, motions)
             # A slipped row is no move, though one may explain a part of it.
-            kept = every[tukey_weights(_moved_from(left, motions)[1]) > 0]
-            kept = kept if len(kept) >= 3 * cls.LEAST_ROWS else every
-            row, left = _moved_from(left[kept], motions[kept])
+            kept, some = every, every[tukey_weights(left) > 0]
+            if 3 * cls.LEAST_ROWS <= len(some) < len(every):
+                kept = some
+                row, left = _moved_from((y - expected)[kept], motions[kept])
             taken = _TURNS**2 * len(kept)
             yield cls("moved-station", "", left, kept, taken, first=int(kept[row]))
 
@@ -298,7 +299,7 @@ def best_split(
     those `extra` (n, 3, q) of the move the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
     :math:`S = E'E - E'C H^{-1} C'E`.
 
-    Returns the share, the number among the `own` rows (n_own,), three times the least or more,
+    Returns the share, the number among the `own` rows (n_own,), three times `LEAST_ROWS` or more,
     the move (q,) and what is then left of all rows (n, 3).
     """
     flat = columns.reshape(-1, columns.shape[2])

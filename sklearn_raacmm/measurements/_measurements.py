@@ -85,12 +85,14 @@ class Measurements:
 
     @property
     def n_tools(self) -> int:
-        return max(len(self.tool_labels), 1)
+        return 1 if self.tools is None else int(self.tools.max()) + 1
 
     @property
     def n_stations(self) -> int:
         """How many bases are unknown: none where nothing but labels was given."""
-        return 0 if self.points is None else max(len(self.station_labels), 1)
+        if self.points is None:
+            return 0
+        return 1 if self.stations is None else int(self.stations.max()) + 1
 
     @cached_property
     def n_shown(self) -> np.ndarray:

@@ -83,8 +83,10 @@ class Rows(NamedTuple):
         Y, within = (np.ascontiguousarray(a[:, outputs]) for a in arrays)
         return self._replace(Y=Y, within=within)
 
-    def merged(self) -> "Rows":
+    def merged(self, start: int = 0) -> "Rows":
         """Repeated rows of a group as one, without rows of no weight, whatever their order.
+
+        Rows that have no numbers yet get theirs, from `start` on.
 
         A row that says again what another has said, target and all, adds weight but is no further
         observation.
@@ -110,7 +112,7 @@ class Rows(NamedTuple):
             mean,
             total,
             None if codes is None else codes[place],
-            first=(kept if self.first is None else self.first[kept])[place],
+            first=(start + kept if self.first is None else self.first[kept])[place],
             within=np.column_stack([np.bincount(inverse, column) for column in about.T]),
             observed=np.bincount(inverse[again], count[again]),
         )
@@ -243,8 +245,7 @@ def distinct_rows(source, n_features, rng):
         return rows.some(np.sort(np.argsort(_hash(rows.X, seed), kind="stable")[:size]))
 
     def summary(rows, start):
-        sample = rows.merged()
-        sample = cut(sample._replace(first=start + sample.first))
+        sample = cut(rows.merged(start))
         return int(np.sum(rows.weights > 0)), rows.weights.sum(), sample
 
     def join(one, other):

@@ -88,8 +88,8 @@ def direction_of(azimuth, *shapes):
     azimuth = floats("azimuth", azimuth, finite=True)
     if azimuth.shape not in shapes:
         raise ValueError(
-            f"azimuth has shape {azimuth.shape}, but one angle for each row is needed, shape "
-            f"{' or '.join(map(str, shapes))}."
+            f"azimuth has shape {azimuth.shape}, but {' or '.join(map(str, shapes))} is needed: "
+            "angles in rad."
         )
     return np.cos(azimuth), np.sin(azimuth)
 

@@ -767,6 +767,17 @@ def test_the_order_of_strange_names_is_not_guessed(tmp_path):
         np.testing.assert_array_equal(read_table(tmp_path / "log.csv", 6, **options).angles, RAD)
 
 
+def test_of_two_arms_none_is_taken(tmp_path):
+    """A robot of two arms names the joints of both; the first in the file may be the wrong one."""
+    names = [f"{side}_joint_{i}" for side in ("left", "right") for i in range(1, 7)]
+    header = [*(f"name{i}" for i in range(12)), *(f"position{i}" for i in range(12)), "p"]
+    both = np.hstack([RAD, RAD[::-1]])
+    rows = [[*names, *row, label] for row, label in zip(both, LABELS, strict=True)]
+    (tmp_path / "log.csv").write_text(joined([header, *rows]))
+    with pytest.raises(TableError, match="say the order from the base on"):
+        read_table(tmp_path / "log.csv", 6, position="p", angle_unit="rad")
+
+
 def test_commanded_angles_alone_are_taken_and_other_columns_are_handed_on(tmp_path):
     """Labels may begin with the mark of a comment."""
     header = ["cone", *(f"target_q_{i}" for i in range(6)), "T [°C]", "tool"]

@@ -59,3 +59,14 @@ def test_limits_beyond_half_a_turn_are_kept():
     found = arm.angles_for(points)
     assert_allclose(arm.forward(found), points, atol=1e-6)
     assert np.all((found >= arm.limits[:, 0]) & (found <= arm.limits[:, 1]))
+
+
+def test_a_correction_may_leave_orientations_as_they_are():
+    arm = Arm.from_name("ur10")
+    pose = np.array([[0.1, -1.0, 1.2, -0.5, -1.4, 0.3]])
+    shift, turned = np.array([[0.2, -0.1, 0.3]]), arm.frames(pose)[:, -1, :, :3]
+    found = arm.angles_for(
+        arm.forward(pose) - shift, pose, turned, correction=lambda angles, rows: (shift, None)
+    )
+    assert_allclose(arm.forward(found), arm.forward(pose), atol=1e-6)
+    assert_allclose(arm.frames(found)[:, -1, :, :3], turned, atol=1e-8)

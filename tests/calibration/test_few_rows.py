@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm import Arm, FindingError, calibrate
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")
@@ -155,3 +155,17 @@ def test_bad_rows_get_one_clear_sentence(given, message):
     result = calibrate(ARM, angles, points=points, free=["probe"])
     with pytest.raises(ValueError, match=message):
         result.residuals(np.zeros((4, 6)), **given)
+
+
+def test_a_pose_that_is_held_long_counts_once():
+    """Angles that belong to no such arm are refused by the same scatter, held long or not."""
+    test = make_single_point(9, 16, machine="typical", random_state=2)
+    angles = test.data + np.random.default_rng(0).normal(0, 0.05, test.data.shape)
+    said = []
+    for times in (1, 300):
+        rows = np.repeat(np.arange(len(angles)), np.where(np.arange(len(angles)) == 1, times, 1))
+        with pytest.raises(FindingError) as error:
+            calibrate(test.nominal_arm, angles[rows], test.groups[rows])
+        said.append(error.value.finding)
+    assert [one.code for one in said] == ["no-such-arm"] * 2
+    assert said[1].size_mm == pytest.approx(said[0].size_mm, rel=0.1)

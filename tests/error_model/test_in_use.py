@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -190,6 +191,18 @@ def test_angles_for_points_are_those_of_the_corrected_probe(unit):
     with pytest.warns(UserWarning, match=r"2 of 6 points are not reached: first that of row 4"):
         far = model.angles_for(np.vstack([wanted[:4], [[9000, 0, 0]] * 2]), turned[:6])
     assert np.isnan(far).all(axis=1).tolist() == [False] * 4 + [True] * 2
+
+
+def test_starts_are_warned_of_in_the_unit_of_the_model():
+    test = make_single_point(5, 12, random_state=0)
+    model = ArmResidualRegressor(test.arm, orders=2, angle_unit="deg")
+    model.fit(np.rad2deg(test.data), test.target, groups=test.groups)
+    start = np.rad2deg(test.data[:1])
+    start[:, 0] += 3 * 360.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # 20 rad are many, but 1100 degrees are not
+        found = model.angles_for(model.correct(start), start)
+    assert_allclose(model.correct(found), model.correct(start), atol=1e-6)
 
 
 def test_angles_for_orientations_are_those_of_the_true_arm():

@@ -125,3 +125,14 @@ def test_measurements_that_do_not_fit_a_call_are_refused():
     seven = Measurements.of(np.zeros((20, 7)), np.arange(20) % 2)
     with pytest.raises(ValueError, match="6 joints"):
         calibrate(test.nominal_arm, seven)
+
+
+def test_tools_and_stations_need_no_labels():
+    """They are counted by their numbers."""
+    test = make_single_point(6, 20, random_state=1)
+    numbers = np.arange(len(test.data)) % 2
+    for name in ("tools", "stations"):
+        named = Measurements.of(test.data, points=test.points, **{name: numbers})
+        plain = Measurements(named.angles, points=named.points, **{name: numbers})
+        assert (plain.n_tools, plain.n_stations) == (named.n_tools, named.n_stations)
+        assert plain.n_tools + plain.n_stations == 3

@@ -157,3 +157,12 @@ def test_bad_values_in_one_chunk_are_named(which, rows, bad, message, few_in_mem
     X, Y, weights = (da.from_array(a, chunks=500) for a in given)
     with pytest.raises(ValueError, match=message):
         RBFNetRegressor(5, length_scale=1.0, alpha=0.1).fit(X, Y, sample_weight=weights)
+
+
+def test_centres_of_reweighed_blocks_are_rows_of_the_data(few_in_memory, monkeypatch):
+    monkeypatch.setattr(_rows, "SMALL_BLOCK", 2**13)  # several blocks
+    X, Y, _ = data(3000)
+    Y[::50] += 5.0
+    settings = {"n_centers": 8, "length_scale": 0.5, "alpha": 1e-2, "random_state": 0}
+    model = RBFNetRegressor(**settings, loss="tukey", shared=True).fit(X, Y)
+    np.testing.assert_array_equal(X[model.center_indices_], model.centers_)
