@@ -47,7 +47,7 @@ def test_factors_are_the_columns(n_orders, extra):
     for rank in (len(model.coef), len(model.coef) - 5, 7):
         half = model.half[:, :rank]
         squares = np.square(explicit @ half).sum(axis=2)
-        assert_allclose(found.squares(Root(half, columns.spans)), squares, rtol=1e-11)
+        assert_allclose(found.squares(Root(half, columns.runs)), squares, rtol=1e-11)
 
 
 @pytest.mark.parametrize("n_orders", [3, 30])
