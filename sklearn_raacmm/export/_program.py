@@ -211,11 +211,6 @@ def _dots(rows, x):
     return (rows.reshape(-1, rows.shape[1] // n, n) * x.reshape(-1, 1, n)).sum(axis=2)
 
 
-def _finite(y, x):
-    """NaN where a number is NaN or larger than ``predict`` takes."""
-    return _within(y, x, -LARGEST, LARGEST)
-
-
 def _within(y, x, low, high):
     inside = (x >= low) & (x <= high)
     return y + np.where(inside, 0.0, np.nan).sum(axis=1, keepdims=True)
@@ -325,7 +320,8 @@ OPERATIONS = {
     "join": lambda *values: np.concatenate(values, axis=1),
     "dots": _dots,
     "affine": lambda x, matrix, shift: x @ matrix.T + shift,
-    "finite": _finite,
+    # NaN where a number is NaN or larger than ``predict`` takes.
+    "finite": lambda y, x: _within(y, x, -LARGEST, LARGEST),
     "within": _within,
     "frames": _frames,
     "waves": _waves,
