@@ -153,16 +153,21 @@ class _Seen:
 
     @one_blas_thread
     def _tried(self, angles, codes):
-        """Whether rows of finished cones are enough, and why."""
-        way = self._learn if self._saved is None else self._check
+        """Whether rows of finished cones are enough, and why: by a check, or by learning.
+
+        What a correction leaves at cones left out is compared with what it leaves at its own.
+        """
+        n_cones = len(np.unique(codes))
         try:
-            return way(angles, codes, len(np.unique(codes)))
+            if self._saved is not None:
+                result = self._saved.check(angles, codes)
+                said = (
+                    "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
+                )
+                return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"
+            learned = learn_correction(self._nominal, angles, codes, cv=_FOLDS)
         except ValueError as error:
             return False, str(error)
-
-    def _learn(self, angles, codes, n_cones):
-        """What a correction leaves at cones left out, and at those that it has learnt from."""
-        learned = learn_correction(self._nominal, angles, codes, cv=_FOLDS)
         own = single_point_repeatability(learned.correct(angles)[0], codes)
         was, now = (learned.scores.summary[when][0] for when in ("before", "after"))
         near, few = bool(now <= _NEAR_ENOUGH * own), n_cones < _CONES
@@ -171,9 +176,3 @@ class _Seen:
             f"calibration leaves {was:.3f} mm, and {own:.3f} mm at its own {n_cones}: further "
             f"cones {'gain little' if near else 'will help'}." + f" Take {_CONES} or more." * few
         )
-
-    def _check(self, angles, codes, n_cones):
-        """What a check says."""
-        result = self._saved.check(angles, codes)
-        said = "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
-        return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"

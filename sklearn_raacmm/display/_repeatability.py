@@ -116,7 +116,7 @@ class RepeatabilityDisplay:
         statistic: str = "2s",
         name: str = "after",
         interval: float | None = 0.95,
-        ax=None,
+        ax: Any = None,
     ) -> Self:
         """Draw the repeatability of points before and after a given correction.
 
