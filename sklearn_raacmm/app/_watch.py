@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep, strftime, thread_time
+from typing import Any
 
 import numpy as np
 
@@ -165,7 +166,7 @@ class _Seen:
                     "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
                 )
                 return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"
-            learned = learn_correction(self._nominal, angles, codes, cv=_FOLDS)
+            learned: Any = learn_correction(self._nominal, angles, codes, cv=_FOLDS)
         except ValueError as error:
             return False, str(error)
         own = single_point_repeatability(learned.correct(angles)[0], codes)
