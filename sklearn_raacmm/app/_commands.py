@@ -23,7 +23,7 @@ from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, ren
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.app._tables import named_first
 from sklearn_raacmm.app._terminal import Progress, in_words, print_scores, print_verdict, say
-from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
+from sklearn_raacmm.correction import learn_correction, plan_poses, refuse_one_pose, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.measurements import STILL_MM
@@ -31,8 +31,6 @@ from sklearn_raacmm.utils import Finding, FindingError, FindingWarning, Groups, 
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
-# Angle in rad by which an arm has to move; learning has the same.
-_STILL = 1e-3
 # Bars that a plan takes by itself, and their largest share of the reach.
 _BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
 # Learning, in products of two 1500 x 1500 matrices: so many for so many rows, with this exponent.
@@ -264,8 +262,7 @@ def describe_plan(table, given, arm):
     width = max(map(len, names))
     for i, (name, low, high) in enumerate(zip(names, lows, highs, strict=True), 1):
         print(f"  joint {i}: {name[:40]:{min(width, 40)}s} {low:10.3f} to {high:10.3f} {unit}")
-    if np.ptp(in_rad(table), axis=0).max() < _STILL:
-        raise TableError(f"the arm did not move: {n} rows are 1 pose. Measure other poses, too.")
+    refuse_one_pose(in_rad(table))
     facts = {"rows": n, "angle_unit": unit, "angles": names, "causes": list(table.others)}
     if table.points is not None:
         spread = np.ptp(table.points, axis=0)

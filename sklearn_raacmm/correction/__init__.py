@@ -6,6 +6,7 @@
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._learn import learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
+from sklearn_raacmm.correction._one_fit import refuse_one_pose as refuse_one_pose
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table

@@ -25,22 +25,18 @@ _OPERATORS = {
 }  # fmt: skip
 
 
-def _onnx():
-    try:
-        import onnx
-    except ImportError as error:
-        raise ImportError(
-            "ONNX needs onnx, which is not installed: pip install onnx onnxruntime, or pip install "
-            '-e ".[onnx]" in the folder of sklearn_raacmm.'
-        ) from error
-    return onnx
-
-
 class _Graph:
     """Nodes and constants: ``graph("Mul", a, b)`` is the name of the product."""
 
     def __init__(self):
-        self.onnx, self.nodes, self.tensors, self.names = _onnx(), [], [], Counter()
+        try:
+            import onnx
+        except ImportError as error:
+            raise ImportError(
+                "ONNX needs onnx, which is not installed: pip install onnx onnxruntime, or pip "
+                'install -e ".[onnx]" in the folder of sklearn_raacmm.'
+            ) from error
+        self.onnx, self.nodes, self.tensors, self.names = onnx, [], [], Counter()
 
     def __call__(self, op, *inputs, into=None, **attributes):
         names = [v if isinstance(v, str) else self.constant(v) for v in inputs]

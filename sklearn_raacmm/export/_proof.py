@@ -9,6 +9,8 @@ import warnings
 
 import numpy as np
 
+from sklearn_raacmm.utils import floats
+
 # Test rows: given ones, corners of their ranges, and what is no number.
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
 # How far a file may be from predict, as a share of the largest expected number: double keeps 1e-12
@@ -34,13 +36,8 @@ def make_test_rows(chain, poses=None, std=False, dtype="double"):
     """
     if poses is None:
         poses = chain.typical_rows(200)
-    poses, n, model = np.asarray(poses, dtype=np.float64), chain.n_inputs, chain.model
-    finite = bool(np.isfinite(poses).all())
-    if poses.ndim != 2 or poses.shape[1] != n or not len(poses) or not finite:
-        raise ValueError(
-            f"poses must be rows of {n} finite numbers, at least one; got shape "
-            f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
-        )
+    n, model = chain.n_inputs, chain.model
+    poses = floats("poses", poses, n)
     inside = poses[np.linspace(0, len(poses) - 1, _N_INSIDE).round().astype(int)]
     low, high = poses.min(axis=0), poses.max(axis=0)
     # Corners spread over all: bit i of an odd multiple says whether input i is low or high.

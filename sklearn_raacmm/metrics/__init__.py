@@ -9,6 +9,7 @@ at hand: a number from this module is no statement of conformance to any of them
 
 from sklearn_raacmm.metrics._acceptance import (
     articulated_location_error,
+    fit_sphere,
     gauge_lengths,
     length_error,
 )
@@ -20,7 +21,6 @@ from sklearn_raacmm.metrics._repeatability import (
     single_point_repeatability,
     within_position_r2_score,
 )
-from sklearn_raacmm.metrics._spheres import fit_sphere
 
 __all__ = [
     "articulated_location_error",

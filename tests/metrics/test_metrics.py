@@ -10,7 +10,7 @@ from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 
 from sklearn_raacmm import metrics
-from sklearn_raacmm.metrics import _spheres
+from sklearn_raacmm.metrics import _acceptance
 
 
 @pytest.fixture
@@ -166,7 +166,7 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
 
     options = {"xatol": 1e-9, "fatol": 1e-15, "maxiter": 5000, "maxfev": 5000}
     best = minimize(cost, [700, -300, 150, 12.7], method="Nelder-Mead", options=options)
-    center, radius, _ = _spheres.fit_sphere(points)
+    center, radius, _ = _acceptance.fit_sphere(points)
     assert cost([*center, radius]) <= best.fun + 1e-12
     assert_allclose([*center, radius], best.x, atol=2e-6)
 
@@ -184,7 +184,7 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
     ],
 )
 def test_minimum_enclosing_sphere_in_closed_form(points, radius):
-    center, found = _spheres.minimum_enclosing_sphere(np.asarray(points, dtype=float))
+    center, found = _acceptance.minimum_enclosing_sphere(np.asarray(points, dtype=float))
     assert found == pytest.approx(radius, abs=1e-12)
     assert np.linalg.norm(points - center, axis=1).max() == pytest.approx(radius, abs=1e-9)
 
@@ -195,7 +195,7 @@ def test_no_smaller_sphere_holds_all_points(n):
     rng = np.random.default_rng(n)
     for _ in range(5):
         points = rng.normal(size=(n, 3)) * [1, 0.4, 0.1]
-        center, radius = _spheres.minimum_enclosing_sphere(points)
+        center, radius = _acceptance.minimum_enclosing_sphere(points)
         away = (points - center) / radius
         far = np.linalg.norm(away, axis=1)
         assert far.max() <= 1 + 1e-9
