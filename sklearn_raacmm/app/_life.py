@@ -440,8 +440,12 @@ def save_step(correction, out, step, today, page="", contents=()):
     known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}
     card |= {name: fact for name, fact in known.items() if fact}
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
-    contents, points = dict(contents), Path(out, "corrected.csv")
-    kept = {} if step["what"] == "check" else _kept_points(points, step)
+    contents, points, kept = dict(contents), Path(out, "corrected.csv"), {}
+    if step["what"] != "check" and points.is_file():  # the points of before, under a free name
+        stem = f"{points.stem}_before_{step['what']}_{step['date']}"
+        names = (f"{stem}{f'_{i}' * (i > 1)}{points.suffix}" for i in count(1))
+        free = next(name for name in names if not points.with_name(name).exists())
+        kept = {free: points.read_bytes()}
     pages = {"report.html": with_history(page, history), "card.md": card}
     written = correction.save(out, pages | kept | contents)  # renamed in this order
     if kept and points.name not in contents:
@@ -449,15 +453,6 @@ def save_step(correction, out, step, today, page="", contents=()):
     for name in kept:
         print(f"The corrected points of before are now in {name}.")
     return written
-
-
-def _kept_points(path, step):
-    """The corrected points of before, if there are any, under a name that is free."""
-    if not path.is_file():
-        return {}
-    stem = f"{path.stem}_before_{step['what']}_{step['date']}"
-    names = (f"{stem}{f'_{i}' * (i > 1)}{path.suffix}" for i in count(1))
-    return {next(name for name in names if not path.with_name(name).exists()): path.read_bytes()}
 
 
 def _save(correction, options, step, today=None, given=None):

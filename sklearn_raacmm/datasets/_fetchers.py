@@ -9,10 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sklearn.datasets import get_data_home
-
-# The public `fetch_file` does the same, but refuses addresses of local files.
-from sklearn.datasets._base import RemoteFileMetadata, _fetch_remote
+from sklearn.datasets import fetch_file, get_data_home
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
@@ -225,8 +222,7 @@ def cached_file(name, folder, address, download_if_missing, *, n_retries=3, dela
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        remote = RemoteFileMetadata(path.name, url, sha256)
-        return _fetch_remote(remote, path.parent, n_retries, delay)
+        return fetch_file(url, path.parent, path.name, sha256, n_retries, delay)
     except OSError as error:
         raise OSError(f"{url} cannot be downloaded: {error}") from error
 
