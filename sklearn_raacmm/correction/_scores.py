@@ -13,7 +13,7 @@ from scipy import stats
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import Finding, Floats, Groups
+from sklearn_raacmm.utils import Finding, Floats, Groups, stage
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
@@ -184,6 +184,7 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
+@stage("scores at positions left out")
 def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
@@ -268,6 +269,7 @@ def folds_of(data, outliers, cv):
     return folds
 
 
+@stage("one fold")
 def _one_fold(data, model, train, test):
     """Deviations as given, before, after, and standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
