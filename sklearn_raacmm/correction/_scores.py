@@ -259,10 +259,10 @@ def folds_of(data, outliers, cv):
     left_out = blocks if data.places is None else data.places
     for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=left_out):
         for what, labels in (("tool", data.tools), ("station", data.stations)):
-            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train])
+            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train]).tolist()
             if len(lost):
                 raise ValueError(
-                    f"all positions of {what} {lost[0].item()!r} are left out together: measure "
+                    f"all positions of {what} {lost[0]!r} are left out together: measure "
                     f"each {what} at more positions, give blocks, or mend a mistyped label."
                 )
         folds.append((np.intersect1d(train, kept), np.intersect1d(test, kept)))
