@@ -194,11 +194,12 @@ class Value(np.lib.mixins.NDArrayOperatorsMixin):
 
 def _power(x, exponent):
     """A value to a power that is a whole number or a half of one: products, and a root."""
-    if not isinstance(exponent, Real) or exponent % 0.5:
+    power = float(exponent) if isinstance(exponent, Real) else 0.1
+    if power % 0.5:
         raise _unknown(np.power, " but to whole numbers and halves")
-    whole, half = divmod(abs(exponent), 1)
+    whole, half = divmod(abs(power), 1)
     found = reduce(mul, [x] * int(whole) + [np.sqrt(x)] * (half > 0), 1.0)
-    return found if exponent >= 0 else 1.0 / found
+    return found if power >= 0 else 1.0 / found
 
 
 def _unknown(function, but=""):
