@@ -194,7 +194,7 @@ class Value(np.lib.mixins.NDArrayOperatorsMixin):
 
 def _power(x, exponent):
     """A value to a power that is a whole number or a half of one: products, and a root."""
-    power = float(exponent) if isinstance(exponent, Real) else 0.1
+    power = float(exponent) if isinstance(exponent, Real) else np.nan
     if power % 0.5:
         raise _unknown(np.power, " but to whole numbers and halves")
     whole, half = divmod(abs(power), 1)
