@@ -312,7 +312,10 @@ def _of_users(arm, terms, taken):
     """The columns of the causes of users, checked; `taken` are the names of the others."""
     n, known = arm.n_joints, [name for name, _ in terms.extra]
     for cause in terms.own:
-        for column in cause(arm, known):
+        made = cause(arm, known)
+        for column in made if np.iterable(made) else [made]:
+            if not isinstance(column, Column):
+                raise ValueError(f"A cause gives {column!r:.60}: it must yield `Column`s.")
             least, most = (column.frame + 1, n + 1) if column.kind in OF_LOADS else (0, n + 1)
             if column.kind == GROW:
                 least = most = column.frame + 1

@@ -30,7 +30,7 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 # Of the call that runs: "collected", where findings go instead of being warned of; "accepted",
 # codes; "refuses", whether it refuses what has to be repaired, which no part of a call does;
 # "ignored", where nobody will read them; "row_numbers", in the user's file, where rows are not
-# counted from 0.
+# counted from 0; "stage", which one of a fit it is.
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
@@ -306,9 +306,9 @@ def stage(name: str, *kept: str) -> Callable[[Function], Function]:
 
     The line goes to the logger "sklearn_raacmm" at level INFO:
     ``logging.basicConfig(level=logging.INFO)`` shows it. At level DEBUG a second one has the mean
-    and the root mean square of all numbers in the result, and the function's name: where two runs
-    differ first, it says. Of a method that returns nothing these are the numbers of the attributes
-    that it has `kept`.
+    and the root mean square of all numbers in the result, the function's name, and the stage that
+    it is a part of, whose line follows: where two runs differ first, there one of both differs. Of
+    a method that returns nothing these are the numbers of the attributes that it has `kept`.
     """
 
     def decorate(function: Function) -> Function:
@@ -316,8 +316,9 @@ def stage(name: str, *kept: str) -> Callable[[Function], Function]:
 
         @wraps(function)
         def wrapper(*args, **kwargs):
-            start = perf_counter()
-            result = function(*args, **kwargs)
+            start, outer = perf_counter(), _STATE.get().get("stage")
+            with _Within(stage=name):
+                result = function(*args, **kwargs)
             _LOGGER.info("%s: %.1f s", name, perf_counter() - start)
             if _LOGGER.isEnabledFor(logging.DEBUG):
                 found = [attrgetter(part)(args[0]) for part in kept] if kept else result
@@ -325,8 +326,9 @@ def stage(name: str, *kept: str) -> Callable[[Function], Function]:
                 values = values[np.isfinite(values)]
                 n = max(len(values), 1)
                 mean, size = values.sum() / n, np.sqrt(np.square(values).sum() / n)
+                by = f"{where}, within {outer}" if outer else where
                 text = "%s: %d numbers, mean %.12g, root mean square %.12g, by %s"
-                _LOGGER.debug(text, name, len(values), mean, size, where)
+                _LOGGER.debug(text, name, len(values), mean, size, by)
             return result
 
         return cast(Function, wrapper)

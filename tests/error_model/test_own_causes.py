@@ -101,5 +101,7 @@ def test_faults_have_one_sentence():
         fit(Column("a", *turn, load=3), Column("a", *turn, load=4))
     with pytest.raises(ValueError, match="its family must be OWN; its axis must be 0, 1 or 2"):
         fit(Column("a", 0, Effect.TURN, 1, 3, 1e-9))
+    with pytest.raises(ValueError, match="A cause gives None: it must yield `Column`s"):
+        ArmResidualRegressor(ARM, causes=[lambda arm, extra: None]).fit(X[:, :6], np.zeros((50, 3)))
     with pytest.raises(ValueError, match="wobble, or functions, got 'friction'"):
         ArmResidualRegressor(ARM, causes=["friction"]).fit(X[:, :6], np.zeros((50, 3)))
