@@ -267,7 +267,9 @@ class Columns:
             cells = [cells[column] for _, cells in rows]
             values[:, j] = self.source.numbers(cells)
             for i in np.flatnonzero(~np.isfinite(values[:, j])):
-                what = f"{cells[i]!r} is not a number" if cells[i] != "" else "is empty"
+                what = f"{cells[i]!r} is not a number"
+                if cells[i] == "":
+                    what = "is empty: fill it in, or delete the row"
                 if isinstance(cells[i], str) and re.search(r"\d[.,]\d", cells[i]):
                     sign = {".": "point", ",": "comma"}[self.source.decimal]
                     what += f" with a decimal {sign}, which the others have"

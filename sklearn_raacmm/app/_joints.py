@@ -90,8 +90,10 @@ def _joints(table, n, joint_names, taken, slides):
     if not fitting or unnamed:
         fitting, what = _only_numbers(table, n, taken), "the columns of numbers in their order, "
     if len(fitting) == 1:
-        first, last = (table.header[fitting[0][i]] for i in (0, -1))
-        table.notes.append(f"Joint angles: {what}{first} to {last}.")
+        names = [table.header[i] for i in fitting[0]]
+        # By their numbers alone a column with another name, mistyped or not, is one of them.
+        shown = ", ".join(names) if what else f"{names[0]} to {names[-1]}"
+        table.notes.append(f"Joint angles: {what}{shown}.")
         return fitting[0]
     example = ",".join(f"q{i}" for i in range(1, n + 1))
     raise table.unclear(

@@ -233,7 +233,7 @@ def _check_model(saved, today, measured, rate, options):
     _print_doubts(saved, today.angles, today.positions)
     for row in result.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
-        print(f"slipped: row {today.rows[row]}{label}, measure it again")
+        print(f"slipped: row {today.rows[row]}{label}, measure it again, or mend its label")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(result, name) for name in names}
     return facts, result, result.advice if changed else ""

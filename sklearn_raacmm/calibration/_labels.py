@@ -132,7 +132,7 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
     if not len(rows):
         return
     parts: list[str] = []
-    left = rows
+    left, names = rows, labels.tolist()
     for i in rows:
         pair = left[(codes[left] == right[i]) & (right[left] == codes[i])]
         if i in left and len(pair):
@@ -141,8 +141,8 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
             parts.append(f"rows {first} and {second} look exchanged")
     for given, place in np.unique(np.column_stack([codes, right])[left], axis=0):
         of = left[(codes[left] == given) & (right[left] == place)]
-        where = "no place of the others" if place < 0 else f"of {labels[place].item()!r}"
-        named = f"{_in_words(numbers[of])} of {labels[given].item()!r}"
+        where = "no place of the others" if place < 0 else f"of {names[place]!r}"
+        named = f"{_in_words(numbers[of])} of {names[given]!r}"
         parts.append(f"{named} look{'s' * (len(of) == 1)} to be {where}")
     more = f"; and {len(parts) - _NAMED} more" * (len(parts) > _NAMED)
     yield Finding(
@@ -175,7 +175,7 @@ def _same_places(centres, labels, sigma):
     place = fcluster(linkage(centres, "single"), near, "distance")
     for code in np.flatnonzero(np.bincount(place) > 1):
         of = np.flatnonzero(place == code)
-        names = " and ".join(repr(label.item()) for label in labels[of[:_NAMED]])
+        names = " and ".join(map(repr, labels[of[:_NAMED]].tolist()))
         size = pdist(centres[of]).max()
         text = (
             f"{names} are one place: their mean points are {size:.2g} mm apart. They count as one "

@@ -73,7 +73,7 @@ class Data:
         alone = np.setdiff1d(np.flatnonzero(np.bincount(given) == 1), tied)
         if self.points is None and len(alone):
             raise ValueError(
-                f"position {labels[alone[0]].item()!r} has a single row, row "
+                f"position {ends[alone[0]]!r} has a single row, row "
                 f"{np.flatnonzero(given == alone[0])[0]}: is its label mistyped?"
             )
         for what, given_too in (("tools", measured.tools is not None), ("features", self.kinds)):

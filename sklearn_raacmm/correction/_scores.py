@@ -13,7 +13,7 @@ from scipy import stats
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import Finding, Floats, Groups
+from sklearn_raacmm.utils import Finding, Floats, Groups, stage
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
@@ -195,6 +195,7 @@ def _shares(share, of_folds):
     return f"Share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
+@stage("scores at positions left out")
 def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
@@ -269,16 +270,17 @@ def folds_of(data, outliers, cv):
     left_out = blocks if data.places is None else data.places
     for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=left_out):
         for what, labels in (("tool", data.tools), ("station", data.stations)):
-            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train])
+            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train]).tolist()
             if len(lost):
                 raise ValueError(
-                    f"all positions of {what} {lost[0].item()!r} are left out together: measure "
+                    f"all positions of {what} {lost[0]!r} are left out together: measure "
                     f"each {what} at more positions, give blocks, or mend a mistyped label."
                 )
         folds.append((np.intersect1d(train, kept), np.intersect1d(test, kept)))
     return folds
 
 
+@stage("one fold")
 def _one_fold(data, model, train, test):
     """Deviations as given, before, after, and standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)

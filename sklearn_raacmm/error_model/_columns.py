@@ -119,8 +119,9 @@ class Column(NamedTuple):
     """One column that is no harmonic of an encoder: its name, and how it moves the probe.
 
     A cause of your own is a function of the arm and of the names of the extra columns that yields
-    such columns, of the family `OWN`. That of a module, not a lambda, can be pickled. A joint whose
-    friction grows with gravity's torque stops short by its direction times the torque:
+    such columns, of the family `OWN`. That of a module, not a lambda, can be pickled. Joint j, from
+    1, turns about z of frame j - 1, in the modified convention of frame j. A joint whose friction
+    grows with gravity's torque stops short by its direction times the torque:
 
     >>> from sklearn_raacmm import ArmResidualRegressor
     >>> from sklearn_raacmm.error_model import OWN, Column, Effect
@@ -311,18 +312,26 @@ def _of_users(arm, terms, taken):
     """The columns of the causes of users, checked; `taken` are the names of the others."""
     n, known = arm.n_joints, [name for name, _ in terms.extra]
     for cause in terms.own:
-        for column in cause(arm, known):
+        made = cause(arm, known)
+        for column in made if np.iterable(made) else [made]:
+            if not isinstance(column, Column):
+                raise ValueError(f"A cause gives {column!r:.60}: it must yield `Column`s.")
             least, most = (column.frame + 1, n + 1) if column.kind in OF_LOADS else (0, n + 1)
             if column.kind == GROW:
                 least = most = column.frame + 1
-            fits = column.family == OWN and column.kind in list(Effect) and column.axis in (0, 1, 2)
-            fits &= 0 <= column.frame <= n and 0 <= column.joint < n and np.isfinite(column.unit)
-            fits &= least <= column.load <= most and -1 <= column.by < len(known)
-            if not fits or column.name in taken:
-                raise ValueError(
-                    f"A cause has {column}, which does not fit an arm of {n} joints and "
-                    f"{len(known)} extra columns, or whose name another column has."
-                )
+            rules = {
+                "its family must be OWN": column.family == OWN,
+                "its kind must be one of Effect": column.kind in list(Effect),
+                f"its frame must be 0 to {n}": 0 <= column.frame <= n,
+                "its axis must be 0, 1 or 2": column.axis in (0, 1, 2),
+                "its unit must be finite": np.isfinite(column.unit),
+                f"its joint must be 0 to {n - 1}": 0 <= column.joint < n,
+                f"its load must be {least} to {most}": least <= column.load <= most,
+                f"its by must be -1, or number one of {known}": -1 <= column.by < len(known),
+                "another column has its name": column.name not in taken,
+            }
+            if broken := [rule for rule, holds in rules.items() if not holds]:
+                raise ValueError(f"A cause has {column}: {'; '.join(broken)}.")
             taken.add(column.name)
             mean = terms.extra[column.by][1][0] if column.by >= 0 else 0.0
             yield column._replace(reference=mean)

@@ -336,7 +336,7 @@ class Fit:
     left of each row, and `rows` are whitened by the noise that was found.
     """
 
-    @stage("linear error model")
+    @stage("linear error model", "state", "pose_weight", "model.noise_variance")
     def __init__(self, rows: Any, columns: Columns, with_field: bool) -> None:
         self.columns: Columns = columns
         self.levers: np.ndarray = columns.levers(rows.X)
@@ -399,7 +399,7 @@ class Fit:
         self.sums = reweighted(self.rows, self.columns, self.sums, self.summed, self.pose_weight)
         self.summed = self.pose_weight
 
-    @stage("choice of structures")
+    @stage("choice of structures", "state", "pose_weight")
     def _search(self, state=None):
         self.state = Problem(self.sums, self.structures).search(state)
         self._settle()

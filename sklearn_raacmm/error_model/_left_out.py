@@ -159,6 +159,7 @@ def find_fading(y, weights, factor: Any, widening, centre):
     return Fading(float(size), float(factor))
 
 
+@stage("share of the correction")
 def judge(
     y: np.ndarray,
     correction: np.ndarray,
@@ -408,6 +409,7 @@ def with_students_quantile(model):
     return replace(model, std_scale=float(wider * model.std_scale))
 
 
+@stage("factors of intervals")
 def interval_scales(
     errors: np.ndarray,
     noise: np.ndarray,

@@ -8,7 +8,9 @@ the writers know these operations and no kind of model.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import cached_property
+from functools import cached_property, reduce
+from numbers import Real
+from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,6 +157,8 @@ class Value(np.lib.mixins.NDArrayOperatorsMixin):
             return 1.0 - np.less(*inputs)
         if ufunc in (np.negative, np.square):
             ufunc, inputs = np.multiply, (*inputs, -1.0 if ufunc is np.negative else inputs[0])
+        if ufunc is np.power:
+            return _power(*inputs)
         if ufunc not in _FUNCTIONS:
             raise _unknown(ufunc)
         return self.program(_FUNCTIONS[ufunc], *inputs)
@@ -185,11 +189,21 @@ class Value(np.lib.mixins.NDArrayOperatorsMixin):
         return self.program("within", self, x, low=low, high=high)
 
 
-def _unknown(function):
+def _power(x, exponent):
+    """A value to a power that is a whole number or a half of one: products, and a root."""
+    power = float(exponent) if isinstance(exponent, Real) else np.nan
+    if power % 0.5:
+        raise _unknown(np.power, " but to whole numbers and halves")
+    whole, half = divmod(abs(power), 1)
+    found = reduce(mul, [x] * int(whole) + [np.sqrt(x)] * (half > 0), 1.0)
+    return found if power >= 0 else 1.0 / found
+
+
+def _unknown(function, but=""):
     known = ", ".join(f.__name__ for f in (*_FUNCTIONS, np.negative, np.square, np.clip))
     return ValueError(
-        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX; {known} "
-        "can."
+        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX{but}; "
+        f"{known} can."
     )
 
 

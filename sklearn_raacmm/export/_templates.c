@@ -248,7 +248,7 @@ int main(void)
                 largest = gap;
         }
     }
-    printf("$name: %d of %d numbers differ; the largest gap is %.3g.\n", wrong, $total,
+    printf("$name: %d of %d numbers differ too much; the largest gap is %.3g.\n", wrong, $total,
         (double)largest);
     return wrong != 0;
 }

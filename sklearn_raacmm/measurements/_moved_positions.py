@@ -110,7 +110,7 @@ def moved_positions(
         largest = max((one for one in steps if one.code == code), key=lambda one: one.size_mm)
         before, after = Finding.row_numbers(numbers[[largest.before, largest.after]])
         where = f"{largest.size_mm:.3g} mm between rows {before} and {after}"
-        named.append(f"position {labels[code].item()!r} by {where}")
+        named.append(f"position {labels.tolist()[code]!r} by {where}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
     yield Finding(
         "moved-position",

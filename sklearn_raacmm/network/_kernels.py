@@ -85,12 +85,14 @@ KERNELS: dict[str, Callable[..., Any]] = {
 def radial(kernel: Kernel, s: Any, slope: bool = False) -> Any:
     """Values of a kernel of `KERNELS`, by its name, or of a function that a user gives.
 
-    That is called with an array of squared scaled distances, which it may overwrite, and returns an
-    array of the same shape, 1 where the distance is 0; if `slope` is true, also the derivative by
-    the squares. It has to be positive definite: `fit` tries 60 rows, and the slope. In a list of
-    kernels the smooth ones come first. Pickle, joblib and skops, which has to be told to trust it,
-    keep a function's module and name alone; a lambda cannot be saved. Arithmetic and NumPy's
-    maximum, minimum, clip, sqrt, exp, sin and cos can be written as C and ONNX.
+    A function of your own, which `RBFNetRegressor` takes as its `kernel`, is called as
+    ``kernel(s)`` and ``kernel(s, True)``. Of an array s of squared scaled distances, which it may
+    overwrite, it returns an array of the same shape, 1 where s is 0; with True also the derivative
+    by s. It has to be positive definite: `fit` tries 60 rows, and the slope. In a list of kernels
+    the smooth ones come first. Pickle, joblib and skops, which has to be told to trust it, keep a
+    function's module and name alone; a lambda cannot be saved. Arithmetic, powers of whole numbers
+    and halves, and NumPy's maximum, minimum, clip, sqrt, exp, sin and cos can be written as C and
+    ONNX.
 
     >>> from sklearn_raacmm import RBFNetRegressor
     >>> def quadratic(s, slope=False):  # the rational quadratic kernel

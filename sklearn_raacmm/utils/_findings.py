@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from functools import partial, wraps
 from inspect import signature
+from operator import attrgetter
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any, Literal, SupportsIndex, TypeVar, cast
@@ -29,7 +30,7 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 # Of the call that runs: "collected", where findings go instead of being warned of; "accepted",
 # codes; "refuses", whether it refuses what has to be repaired, which no part of a call does;
 # "ignored", where nobody will read them; "row_numbers", in the user's file, where rows are not
-# counted from 0.
+# counted from 0; "stage", which one of a fit it is.
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
@@ -300,25 +301,34 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
     return decorate
 
 
-def stage(name: str) -> Callable[[Function], Function]:
+def stage(name: str, *kept: str) -> Callable[[Function], Function]:
     """Log a line whenever a function, a stage of a fit, has ended: its name, and how long it took.
 
     The line goes to the logger "sklearn_raacmm" at level INFO:
-    ``logging.basicConfig(level=logging.INFO)`` shows it. At level DEBUG a second one has the root
-    mean square of all numbers in the result: where two runs differ first, it says.
+    ``logging.basicConfig(level=logging.INFO)`` shows it. At level DEBUG a second one has the mean
+    and the root mean square of all numbers in the result, the function's name, and the stage that
+    it is a part of, whose line follows: where two runs differ first, there one of both differs. Of
+    a method that returns nothing these are the numbers of the attributes that it has `kept`.
     """
 
     def decorate(function: Function) -> Function:
+        where = f"{function.__module__}.{function.__qualname__}".removeprefix("sklearn_raacmm.")
+
         @wraps(function)
         def wrapper(*args, **kwargs):
-            start = perf_counter()
-            result = function(*args, **kwargs)
+            start, outer = perf_counter(), _STATE.get().get("stage")
+            with _Within(stage=name):
+                result = function(*args, **kwargs)
             _LOGGER.info("%s: %.1f s", name, perf_counter() - start)
             if _LOGGER.isEnabledFor(logging.DEBUG):
-                values = np.concatenate([np.zeros(0), *_numbers_in(result)])
+                found = [attrgetter(part)(args[0]) for part in kept] if kept else result
+                values = np.concatenate([np.zeros(0), *_numbers_in(found)])
                 values = values[np.isfinite(values)]
-                size = np.sqrt(np.mean(values**2)) if len(values) else 0.0
-                _LOGGER.debug("%s: %d numbers, root mean square %.12g", name, len(values), size)
+                n = max(len(values), 1)
+                mean, size = values.sum() / n, np.sqrt(np.square(values).sum() / n)
+                by = f"{where}, within {outer}" if outer else where
+                text = "%s: %d numbers, mean %.12g, root mean square %.12g, by %s"
+                _LOGGER.debug(text, name, len(values), mean, size, by)
             return result
 
         return cast(Function, wrapper)
@@ -331,6 +341,6 @@ def _numbers_in(value: object, depth: int = 4) -> Iterator[np.ndarray]:
     if isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind in "fi":
         yield np.ravel(value).astype(float)
     elif depth and not isinstance(value, str | type):
-        own = getattr(value, "__dict__", {}).values()
-        for part in value if isinstance(value, list | tuple) else own:
+        of = value if isinstance(value, dict) else getattr(value, "__dict__", {})
+        for part in value if isinstance(value, list | tuple) else of.values():
             yield from _numbers_in(part, depth - 1)

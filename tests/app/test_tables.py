@@ -153,3 +153,10 @@ def test_lengths(write):
     ):
         with pytest.raises(TableError, match=message):
             read_lengths(write(text))
+
+
+def test_a_mistyped_heading_stands_in_the_note(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("k;q1;p2;q3\n" + "A;0.1;0.2;0.3\nA;0.2;0.3;0.4\n" * 3)
+    notes = read_table(path, 3, angle_unit="rad").notes
+    assert "Joint angles: the columns of numbers in their order, q1, p2, q3." in notes

@@ -111,3 +111,18 @@ def test_exchanged_labels_and_marks_of_missing_values_are_named_by_their_rows():
     with Finding.collected():
         model = clone(SMALL).fit(angles, found.residuals(angles, groups=groups), groups=groups)
     assert np.flatnonzero(model.pose_weight_ == 0).tolist() == [3, 12, 40, 52, 77]
+
+
+def test_labels_of_a_data_frame_are_named_as_those_of_an_array():
+    """pandas hands on text as objects, which have no `item`."""
+    names = np.char.add("cone ", TEST.groups.astype(str))
+    exchanged, twice = names.copy(), names.copy()
+    exchanged[[12, 52]] = names[[52, 12]]
+    twice[:8] = "cone 0, too"
+    for labels in (exchanged, twice):
+        given = found(TEST.nominal_arm, TEST.data, labels)
+        assert given == found(TEST.nominal_arm, TEST.data, labels.astype(object))
+        assert {"wrong-label", "one-place"} & set(given)
+    names[5] = "cone O"
+    with pytest.raises(ValueError, match="position 'cone O' has a single row, row 5: is its"):
+        learn_correction(TEST.nominal_arm, TEST.data, names.astype(object))

@@ -118,7 +118,9 @@ def test_stations_are_checked(measured):
         learn_correction(ARM, angles, np.arange(150) % 5, stations=stations)
     lost = np.r_[["dor"], stations[1:]]
     with pytest.raises(ValueError, match="station 'dor' are left out together"):
-        learn_correction(*data, model=MODEL, cv=3, stations=lost, accept=["moved-station"])
+        learn_correction(
+            *data, model=MODEL, cv=3, stations=lost.astype(object), accept=["moved-station"]
+        )
     # What is said to be one station may be two.
     two, moved = np.where(stations == "window", "middle", stations), points.copy()
     moved[100:] = (moved[100:] - bases[1][2]) @ bases[0][2] @ bases[0][1].T + bases[1][1] + 0.8

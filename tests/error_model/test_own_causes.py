@@ -92,12 +92,16 @@ def test_faults_have_one_sentence():
         model.fit(X, np.zeros((50, 3)), groups=False)
 
     with pytest.raises(
-        ValueError, match=r"A cause has Column\(name='a'.* does not fit an arm of 6 j"
+        ValueError, match=r"A cause has Column\(name='a'.*: its load must be 2 to 7"
     ):
         fit(Column("a", *turn, load=8))
-    with pytest.raises(ValueError, match="does not fit an arm of 6 joints and 1 extra columns"):
+    with pytest.raises(ValueError, match=r"its by must be -1, or number one of \['direction 2'\]"):
         fit(Column("a", *turn, load=3, by=1))
-    with pytest.raises(ValueError, match="or whose name another column has"):
+    with pytest.raises(ValueError, match="another column has its name"):
         fit(Column("a", *turn, load=3), Column("a", *turn, load=4))
+    with pytest.raises(ValueError, match="its family must be OWN; its axis must be 0, 1 or 2"):
+        fit(Column("a", 0, Effect.TURN, 1, 3, 1e-9))
+    with pytest.raises(ValueError, match="A cause gives None: it must yield `Column`s"):
+        ArmResidualRegressor(ARM, causes=[lambda arm, extra: None]).fit(X[:, :6], np.zeros((50, 3)))
     with pytest.raises(ValueError, match="wobble, or functions, got 'friction'"):
         ArmResidualRegressor(ARM, causes=["friction"]).fit(X[:, :6], np.zeros((50, 3)))

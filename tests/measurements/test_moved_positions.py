@@ -168,6 +168,8 @@ def test_the_warning_names_position_rows_and_size():
     assert not list(moved_positions(*given, numbers[some]))
     # Labels of their own after each step are the way out.
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
+    (found,) = moved_positions(left, angles, labels, numbers)
+    assert "position 'cone 2' by" in found.text
     labels[first:][groups[first:] == 2] = "cone 2, moved"
     assert not list(moved_positions(left, angles, labels, numbers))
 

@@ -30,6 +30,16 @@ def wave(s, slope=False):
     return (K, -0.01 * K - decay * np.sin(2 * r) / r) if slope else K
 
 
+def powers(s, slope=False):
+    K = (1 + s / 3) ** -1.5
+    return (K, -0.5 * (1 + s / 3) ** -2.5) if slope else K
+
+
+def exponential(s, slope=False):
+    K = 2.0**-s
+    return (K, -np.log(2) * K) if slope else K
+
+
 def log_kernel(s, slope=False):
     K = np.exp(-np.log1p(s))
     return (K, -K * K) if slope else K
@@ -98,9 +108,16 @@ def test_it_is_written_as_c_and_onnx(fitted, tmp_path):
     waves = RBFNetRegressor(kernel=wave, random_state=0).fit(x, np.sin(7 * x[:, 0]))
     for name, found, _ in ways_out(tmp_path, waves, x):
         assert_allclose(found[:, 0], waves.predict(x), rtol=0, atol=1e-11, err_msg=name)
-    unknown = RBFNetRegressor(5, kernel=log_kernel).fit(X, Y)
-    with pytest.raises(ValueError, match=r"uses numpy\.log1p, which cannot be written as C or ONN"):
-        export_c(unknown, tmp_path / "log.c")
+    of_powers = RBFNetRegressor(20, kernel=powers, random_state=0).fit(X, Y)
+    for name, found, _ in ways_out(tmp_path, of_powers, T):
+        assert_allclose(found[:, 0], of_powers.predict(T), rtol=0, atol=1e-11, err_msg=name)
+    for kernel, said in (
+        (log_kernel, r"uses numpy\.log1p, which cannot be written as C or ONNX; less"),
+        (exponential, r"uses numpy\.power, .* C or ONNX but to whole numbers and halves; less"),
+    ):
+        unknown = RBFNetRegressor(5, kernel=kernel).fit(X, Y)
+        with pytest.raises(ValueError, match=said):
+            export_c(unknown, tmp_path / "unknown.c")
 
 
 def test_it_is_kept_by_its_name(fitted):

@@ -1,13 +1,14 @@
 """Chunks, order of labels, messages; robust scales and Tukey's weights beside closed forms."""
 
 import logging
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import chi
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import Groups, _rows, chunks, robust_scale, tukey_weights
+from sklearn_raacmm.utils import Groups, _rows, chunks, robust_scale, stage, tukey_weights
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -43,6 +44,31 @@ def test_two_runs_that_differ_show_from_which_stage_on(caplog):
     assert lines[0] == lines[1]
     assert [one == other for one, other in zip(lines[0], lines[2], strict=True)] == [True, False]
     assert all("root mean square" in line for line in lines[0])
+    assert lines[0][1].endswith(", by network._fit.fit_network")
+
+
+def test_a_stage_that_returns_nothing_shows_what_it_has_kept(caplog):
+    class Part:
+        @stage("signs", "found", "part.sizes")
+        def find(self, sign):
+            self.found, self.part = (
+                {"coef": sign * np.ones(2)},
+                SimpleNamespace(sizes=[3.0, np.nan]),
+            )
+
+        @stage("nothing")
+        def rest(self):
+            pass
+
+    with caplog.at_level(logging.DEBUG, logger="sklearn_raacmm"):
+        Part().find(1.0)
+        Part().find(-1.0)
+        Part().rest()
+    plus, minus, nothing = [r.getMessage() for r in caplog.records if r.levelno == logging.DEBUG]
+    size = f"root mean square {np.sqrt(11 / 3):.12g}"
+    assert plus.startswith(f"signs: 3 numbers, mean {5 / 3:.12g}, {size}, by ")
+    assert minus.startswith(f"signs: 3 numbers, mean {1 / 3:.12g}, {size}, by ")
+    assert nothing.startswith("nothing: 0 numbers, mean 0, root mean square 0")
 
 
 def test_labels_are_in_the_order_of_their_numbers():
