@@ -365,8 +365,8 @@ def _read_today(options, arm):
     lengths = given.lengths()
     if options.points and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
-    # Warns of what seems another unit.
-    arm.check_angles(table.angles, table.angle_unit)
+    with Finding.numbered(table.rows):  # warns of what seems another unit
+        arm.check_angles(table.angles, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
     return given, today, (today.angles, today.positions, today.points, lengths)
 
