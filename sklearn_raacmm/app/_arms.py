@@ -16,7 +16,7 @@ from sklearn_raacmm.app._given import Given, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import arm_from_data
-from sklearn_raacmm.utils import write_whole
+from sklearn_raacmm.utils import Finding, write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
 _COLUMNS = {
@@ -161,7 +161,8 @@ def _arm_of_layout(options):
     print_notes(table.notes)
     unit, lengths = table.angle_unit, measured.lengths()
     given = options.layout, table.angles, table.positions, lengths
-    arm = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
+    with Finding.numbered(table.rows):
+        arm = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
     height = arm.forward(table.angles, angle_unit=unit)[:, 2]
     high, low = table.rows[[np.argmax(height), np.argmin(height)]]
     print(

@@ -60,7 +60,8 @@ def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
     given, today, measured = _read_today(options, saved.arm)
-    new = saved.register(*measured, accept=options.accept)
+    with Finding.numbered(today.rows):
+        new = saved.register(*measured, accept=options.accept)
     now = new.model.predict(new.inputs(today.angles))
     before, left, usual, facts = _compare("Registered", saved, new, today, 0, now)
     print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
@@ -88,7 +89,8 @@ def update(options):
     given, today, measured = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):  # they count once
         raise TableError(used)
-    new = saved.update(*measured, date=date.today().isoformat(), accept=options.accept)
+    with Finding.numbered(today.rows):
+        new = saved.update(*measured, date=date.today().isoformat(), accept=options.accept)
     X = saved.inputs(today.angles)
     was, now = saved.model.with_arm(new.arm).predict(X), new.model.predict(X)
     before, after, _, facts = _compare("Updated", saved, new, today, was, now)
@@ -220,7 +222,8 @@ def check(options):
 def _check_model(saved, today, measured, rate, options):
     """Facts of what the model sees, its check, and what to do about a change; else ""."""
     given = {"new_base": options.new_base, "accept": options.accept}
-    result = saved.check(*measured, false_alarm_rate=rate, **given)
+    with Finding.numbered(today.rows):
+        result = saved.check(*measured, false_alarm_rate=rate, **given)
     changed = bool(result.matters and not result.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
@@ -242,7 +245,8 @@ def _check_model(saved, today, measured, rate, options):
 def _check_distances(saved, today, measured, options):
     """Facts: mean distances from a tracker's points, mm, without the correction and with it."""
     if saved.base is None or options.new_base:
-        saved = saved.register(*measured, free=(), accept=options.accept)
+        with Finding.numbered(today.rows):
+            saved = saved.register(*measured, free=(), accept=options.accept)
     off = saved.residuals(today.angles, today.points)
     with Finding.ignored():  # of poses where little is known: the check has said so
         correction = saved.model.predict(saved.inputs(today.angles))
@@ -361,8 +365,8 @@ def _read_today(options, arm):
     lengths = given.lengths()
     if options.points and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
-    # Warns of what seems another unit.
-    arm.check_angles(table.angles, table.angle_unit)
+    with Finding.numbered(table.rows):  # warns of what seems another unit
+        arm.check_angles(table.angles, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
     return given, today, (today.angles, today.positions, today.points, lengths)
 

@@ -47,7 +47,7 @@ def print_verdict(text, is_good):
 
 def print_scores(scores, rows_named="positions"):
     """Print what was measured at positions left out, without the verdict, and what else."""
-    measure, lines = scores.measure, str(scores).splitlines()
+    measure, lines = scores.measure, str(scores).split("\n")
     print(f"{measure[0].upper()}{measure[1:]} in mm at {rows_named} left out:")
     for line in lines[2:]:
         say(line)

@@ -159,7 +159,7 @@ class CorrectionScores:
                 f"{after.max():.4f} mm."
             )
         lines.append(
-            f"Of the coordinates left out, {self.coverage:.1%} are inside the model's 95 % "
+            f"Of the coordinates left out, {100 * self.coverage:.1f} % are inside the model's 95 % "
             f"intervals; its standard deviations are multiplied by {self.std_factor:.2f}, so that "
             "95 % are."
         )
@@ -191,8 +191,8 @@ def linear_in_use(model):
 
 
 def _shares(share, of_folds):
-    low, high = min(of_folds), max(of_folds)
-    return f"Share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
+    part, low, high = (100 * one for one in (share, min(of_folds), max(of_folds)))
+    return f"Share of the correction that is used: {part:.0f} % (folds: {low:.0f} to {high:.0f} %)"
 
 
 @stage("scores at positions left out")

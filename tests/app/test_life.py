@@ -125,6 +125,15 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
     assert corrected < 0.6 * bare
 
 
+@pytest.mark.parametrize("word", ["register", "update"])
+def test_a_row_is_named_by_its_line(folder, tmp_path, capsys, word):
+    lines = (folder / "more.csv").read_text().splitlines()
+    lines[12] = lines[12].replace("cone 1;", "cone 3;")  # line 13, the twelfth row
+    (folder / "mistyped.csv").write_text("\n".join(lines) + "\n")
+    words = [word, folder / "mistyped.csv", "--model", folder / "cones", "--out", tmp_path]
+    assert "row 13 of 'cone 3' looks to be of 'cone 1'" in run(capsys, *words)[1]
+
+
 def test_a_check_elsewhere_does_not_say_that_it_holds(tmp_path, capsys):
     # Learnt in a narrow range of the joints, checked in all: errors there are larger than it knows.
     rng = np.random.default_rng(0)
