@@ -13,8 +13,8 @@ from scipy.stats import chi, norm
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
-from sklearn_raacmm.utils import Groups, align, chunks, robust_scale
+from sklearn_raacmm.measurements import STILL_MM, base_motions
+from sklearn_raacmm.utils import Groups, Whitening, align, chunks, robust_scale
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds

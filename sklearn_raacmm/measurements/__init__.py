@@ -19,6 +19,5 @@ from sklearn_raacmm.measurements._order import (
 from sklearn_raacmm.measurements._point_correction import PointCorrectionMixin, found_positions
 from sklearn_raacmm.measurements._residuals import position_residuals
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
-from sklearn_raacmm.measurements._whitening import Whitening
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

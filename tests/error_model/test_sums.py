@@ -52,7 +52,7 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, even, chunk, m
     terms = Terms(offered, True, False, True)
     root = None if even else rng.normal(size=(n, 3, 3))
     rows = Rows(ARM, theta, y, weights, codes, root=root)
-    found = candidate_sums(rows, columns_of(ARM, terms))
+    (found,) = candidate_sums(rows, columns_of(ARM, terms), np.zeros(n, int))
     gram, m = explicit_sums(theta, y, weights, codes, offered, terms, root)
     size = np.sqrt(gram.diagonal())
     size = np.where(size > 1e-9, size, 1.0)
