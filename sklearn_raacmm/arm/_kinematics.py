@@ -562,13 +562,15 @@ class Chain:
         vectors = np.ascontiguousarray(vectors.reshape(3, 6 * k, n).transpose(2, 0, 1))
         return vectors, places.transpose(2, 0, 1), self.phases(angles)
 
-    def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
+    def parameter_jacobian(self, angles: Floats, **changes: object) -> tuple[Floats, Floats]:
         """Position of the probe, and its derivatives by the numbers of the table.
 
         Parameters
         ----------
         angles : ndarray of shape (n_samples, n_joints)
             In rad, and mm of what slides; not checked.
+        **changes : object
+            Fields that are others than the arm's own, as of :meth:`on_trial`.
 
         Returns
         -------
@@ -577,14 +579,14 @@ class Chain:
         derivatives : ndarray of shape (n_samples, 3, 4 * n_joints + 3)
             By `a`, `alpha`, `d`, `theta_offset` and `probe`, mm per mm and mm per rad.
         """
-        n = self.n_joints
+        arm, n = self.on_trial(**changes), self.n_joints
         points = np.empty((len(angles), 3))
         jac = np.empty((len(angles), 3, 4 * n + 3))
         for rows in chunks(len(angles), CHUNK_ROWS):
-            frames = self._columns(angles[rows])
-            probe = self._probe(frames)
+            frames = arm._columns(angles[rows])
+            probe = arm._probe(frames)
             points[rows] = probe.T
-            of_x, of_z = (self._along_and_about(frames, axis, probe) for axis in (0, 2))
+            of_x, of_z = (arm._along_and_about(frames, axis, probe) for axis in (0, 2))
             for i, moved in enumerate([*of_x, *of_z]):
                 jac[rows, :, i * n : (i + 1) * n] = moved.transpose(2, 0, 1)
             jac[rows, :, 4 * n :] = frames[-1, :3].transpose(2, 1, 0)

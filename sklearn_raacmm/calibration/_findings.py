@@ -214,7 +214,7 @@ def _poses_alike(fit):
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
-    points, jac = fit.table_jacobian(arm, angles)
+    points, jac = fit.table_jacobian(angles, fit.x)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)

@@ -91,6 +91,7 @@ class Fit:
         self.n_tools, self.n_stations = problem.n_tools, problem.n_stations
         # Where points were measured all rows are beside one mean.
         self.index = np.zeros(len(self.angles), int) if self.n_stations else problem.index
+        self.groups = Groups(self.index)
         n, n_groups = len(self.angles), self.index.max() + 1
         # Blocks of rows, and what sums up the rows of each position in them.
         self.blocks = chunks(n, _BLOCK)
@@ -190,7 +191,7 @@ class Fit:
         """Weights of the rows by what they touched, without slips; None for measured points."""
         if self.problem.features:
             return self.problem.touched.weights(self.points())
-        return None if self.n_stations else Groups(self.index).slip_factors(self.points())
+        return None if self.n_stations else self.groups.slip_factors(self.points())
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -372,19 +373,19 @@ class Fit:
         tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(self.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
-            arm = self.nominal_arm.on_trial(**self._fields(x, tool))
-            points[of], own = self.table_jacobian(arm, angles[of])
+            points[of], own = self.table_jacobian(angles[of], x, tool)
             jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
             points -= self.correction[rows]
         return points, jac
 
-    def table_jacobian(self, arm, angles):
-        """Points (n, 3) that an arm shows, mm, and their derivatives (n, 3, n_table + 3).
+    def table_jacobian(self, angles, x, tool=0):
+        """Points (n, 3) that the arm shows, mm, and their derivatives (n, 3, n_table + 3).
 
-        By the table, the scales of what slides, and the probe.
+        By the table, the scales of what slides, and the probe of a tool.
         """
-        points, jac = arm.parameter_jacobian(angles)
+        arm = self.nominal_arm
+        points, jac = arm.parameter_jacobian(angles, **self._fields(x, tool))
         if slides := self.slides:
             n = len(arm.a)
             along = jac[:, :, 2 * n : 3 * n][:, :, slides]
@@ -548,7 +549,7 @@ class Fit:
             weights = np.ones(len(points)) if weights is None else weights
             return problem.touched.linearised(points, weights).residual
         if not self.n_stations:
-            return Groups(problem.index).centred(points, weights)
+            return self.groups.centred(points, weights)
         for s in range(self.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]

@@ -539,7 +539,7 @@ class Columns:
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), self.arm.joint_axes
+        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), self._plan.joint_axes
         for part in chunks(len(rows), _CHUNK):
             own = None if probes is None else probes[part]
             levers[part] = self.arm.axis_vectors(angles[part], own)[0][:, :, axes]
@@ -675,6 +675,7 @@ class _Plan:
         cosines = rest[rest["order"] > 0]
         self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
         self.which, self.unit = which[self.rest :], rest["unit"]
+        self.joint_axes = columns.arm.joint_axes
         self.waves = _places(rest["order"])
         self.loads = _places(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors

@@ -189,8 +189,10 @@ def judge(
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     n = int(places.max()) + 1
 
+    by_place = Groups(places)
+
     def deviations(left):
-        return Groups(places).means(np.linalg.norm(left, axis=1)[kept], weights[kept])
+        return by_place.means(np.linalg.norm(left, axis=1)[kept], weights[kept])
 
     def gains_of(share):
         gains = without - deviations(y - share * used)
@@ -317,7 +319,7 @@ def leave_out(fitted, positions, between=False):
     n = len(rows.y)
     order = np.arange(n) if rows.codes is None else np.argsort(rows.codes, kind="stable")
     size = _TOGETHER if rows.codes is None else _OF_POSITIONS
-    together = [order[part] for part in rows.at(order).parts(size)]
+    together = [order[part] for part in rows.at(order).chunks(size)]
     given = [(models, blocks[of], rows.at(of)) for of in together]
     found = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     for of, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
@@ -336,12 +338,12 @@ def _at_rows(models, blocks, rows):
             correction[of], std[of], doubt[of] = model.predict_with_doubt(rows.X[of], True)
         return correction, doubt, std
     # Columns of all models at once: what positions explain of them is taken out once.
-    pairs = [model.terms.harmonics for model, _ in own]
+    pairs = [model.layout.terms.harmonics for model, _ in own]
     every = np.unique(np.concatenate(pairs), axis=0)
     columns = own[0][0].layout.with_harmonics(every).at(rows.X)
     left = rows.along(rows.whitening().centred(columns))
-    for model, of in own:
-        chosen = (every[:, None] == model.terms.harmonics).all(axis=2).any(axis=1)
+    for (model, of), chosen in zip(own, pairs, strict=True):
+        chosen = (every[:, None] == chosen).all(axis=2).any(axis=1)
         chosen = np.r_[np.repeat(chosen, 2), np.ones(len(model.layout.others), dtype=bool)]
         here, left_here = columns[of][:, :, chosen], left[of][:, :, chosen]
         correction[of] = here @ model.coef

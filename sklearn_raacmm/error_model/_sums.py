@@ -208,11 +208,26 @@ class Rows(NamedTuple):
         }
         return self._replace(**of_rows, codes=codes, lengths=tuple(lengths), forms=forms)
 
-    def parts(self, size):
-        """Slices of so many rows, of whole positions where these, sorted, have offsets."""
-        if self.codes is None:
-            return chunks(len(self.X), size)
-        return parts_of_positions(self.codes, size)
+    def chunks(self, size, part_of=None):
+        """Slices of at most so many rows, none of which goes on into the next part of the rows.
+
+        Of whole positions where these have offsets, so that a chunk knows what it takes out: rows
+        are sorted by position then. `part_of` (n,) are numbers of parts in their order; None: one.
+        """
+        n, found, start = len(self.X), [], 0
+        codes = np.arange(n) if self.codes is None else self.codes
+        ends, borders = (
+            np.zeros(1, int) + n if of is None else np.flatnonzero(np.diff(of, append=-1)) + 1
+            for of in (codes, part_of)
+        )
+        limit = chunks(n, size)[0].stop
+        while start < n:
+            least, border = (of[np.searchsorted(of, start, "right")] for of in (ends, borders))
+            within = np.searchsorted(ends, min(start + limit, border), "right")
+            stop = max(least, ends[max(within - 1, 0)])
+            found.append(slice(start, stop))
+            start = stop
+        return found
 
     def weighted(self, factor):
         """The rows with their weights times a factor, without those of no weight."""
@@ -269,30 +284,29 @@ def candidate_sums(rows, columns, part_of):
     Rows are whitened, and offsets of positions are taken out of them: see `Whitening`. `part_of`
     (n,) is as `Rows.sums_of_parts` has it.
     """
-    whitened, given, ends = rows.whitening(), [], [0]
     order = np.lexsort([part_of] if rows.codes is None else [rows.codes, part_of])
-    parts = np.split(order, np.flatnonzero(np.diff(part_of[order])) + 1)
-    for of in parts:
-        basis = None if whitened.basis is None else whitened.basis[of]
-        given += _given_to_blocks(rows.at(of), columns, whitened.root[of], basis)
+    rows, part_of = rows.at(order), part_of[order]
+    if rows.codes is not None:  # counted as they come
+        rows = rows._replace(codes=np.cumsum(np.diff(rows.codes, prepend=rows.codes[:1]) != 0))
+    whitened, chunks_of, given = rows.whitening(), {}, []
+    for chunk in rows.chunks(_CHUNK, part_of):
+        chunks_of.setdefault(part_of[chunk.start], []).append(chunk)
+    ends = [0]
+    for own in chunks_of.values():
+        n_held = _HELD // -(-len(own) // _PARTS)
+        for i in range(0, len(own), _PARTS):
+            some = own[i : i + _PARTS]
+            of = slice(some[0].start, some[-1].stop)
+            some = [slice(one.start - of.start, one.stop - of.start) for one in some]
+            moved = () if rows.codes is None else (whitened.basis[of], rows.codes[of])
+            given.append((some, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
         ends.append(len(given))
     blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
+    shown = np.bincount(np.unique(part_of, return_inverse=True)[1], whitened.observations)
     return [
-        _sums_of(blocks[first:end], rows.by_dask, max(float(whitened.observations[of].sum()), 0.0))
-        for of, (first, end) in zip(parts, pairwise(ends), strict=True)
+        _sums_of(blocks[first:end], rows.by_dask, max(n, 0.0))
+        for n, (first, end) in zip(shown.tolist(), pairwise(ends), strict=True)
     ]
-
-
-def _given_to_blocks(rows, columns, root, basis):
-    """What each `_Block` of these rows, sorted by position, is made of."""
-    parts = rows.parts(_CHUNK)
-    n_held = _HELD // -(-len(parts) // _PARTS)
-    for i in range(0, len(parts), _PARTS):
-        own = parts[i : i + _PARTS]
-        first, of = own[0].start, slice(own[0].start, own[-1].stop)
-        moved = () if basis is None else (basis[of], rows.codes[of])
-        own = [slice(part.start - first, part.stop - first) for part in own]
-        yield own, n_held, columns, rows.X[of], rows.y[of], root[of], *moved
 
 
 def _sums_of(blocks, by_dask, n_observations):
@@ -431,17 +445,6 @@ def known_lengths(
             if form is not None
         )
     return measured, slopes
-
-
-def parts_of_positions(codes: np.ndarray, size: int) -> list[slice]:
-    """Chunks of whole positions of sorted rows, so that a chunk knows what it takes out."""
-    ends, parts, start = np.flatnonzero(np.diff(codes, append=-1)) + 1, [], 0
-    limit = chunks(len(codes), size)[0].stop
-    while start < len(codes):
-        stop = max(ends[ends > start][0], ends[ends <= start + limit].max(initial=0))
-        parts.append(slice(start, stop))
-        start = stop
-    return parts
 
 
 def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: bool = False) -> Any:
