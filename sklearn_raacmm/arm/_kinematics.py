@@ -266,7 +266,7 @@ class Chain:
         ndarray of shape (n_samples, n_joints)
             The same where the arm has no `couplings`; else with the angles that are added.
         """
-        return angles @ self._sums.T if self.couplings else angles
+        return angles @ self.own_by_given.T if self.couplings else angles
 
     def phases(self, angles: Floats) -> Floats:
         """Angles of which harmonics of each joint's error are sines and cosines.
@@ -318,10 +318,10 @@ class Chain:
         ndarray of shape (..., n_joints)
         """
         by_own = jacobian * self.joint_signs
-        return by_own @ self._sums if self.couplings else by_own
+        return by_own @ self.own_by_given if self.couplings else by_own
 
     @cached_property
-    def _sums(self):
+    def own_by_given(self) -> Floats:
         """Matrix (n_joints, n_joints) that makes the joints' own angles of those that are given."""
         sums = np.eye(self.n_joints)
         for joint, other, factor in self.couplings:

@@ -516,12 +516,12 @@ class Columns:
     def _plan(self):
         return _Plan(self)
 
-    @property
+    @cached_property
     def spans(self) -> list[Any]:
         """First and last column of each run of waves, those of a joint."""
         return self._plan.spans
 
-    @property
+    @cached_property
     def runs(self) -> list[Any]:
         """The spans that `factored` leaves as factors: none where all are short."""
         return self._plan.runs

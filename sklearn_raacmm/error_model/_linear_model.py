@@ -563,9 +563,8 @@ def ranges_of(arm, X):
 def _poses_in(arm, ranges):
     """Rows each number of which is anywhere in its range."""
     n, rng = arm.n_joints, np.random.default_rng(0)
-    turns = arm.own_angles(np.eye(n))
     tried = rng.uniform(ranges[0], ranges[1], (_TRIED, ranges.shape[1]))
-    return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
+    return np.column_stack([np.linalg.solve(arm.own_by_given, tried[:, :n].T).T, tried[:, n:]])
 
 
 def _as_now(values, layout):

@@ -34,7 +34,7 @@ References
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, reduce
-from itertools import pairwise, starmap
+from itertools import groupby, pairwise, starmap
 from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple, Self
 
@@ -286,19 +286,17 @@ def candidate_sums(rows, columns, part_of):
     """
     order = np.lexsort([part_of] if rows.codes is None else [rows.codes, part_of])
     rows, part_of = rows.at(order), part_of[order]
-    if rows.codes is not None:  # counted as they come
-        rows = rows._replace(codes=np.cumsum(np.diff(rows.codes, prepend=rows.codes[:1]) != 0))
-    whitened, chunks_of, given = rows.whitening(), {}, []
-    for chunk in rows.chunks(_CHUNK, part_of):
-        chunks_of.setdefault(part_of[chunk.start], []).append(chunk)
-    ends = [0]
-    for own in chunks_of.values():
+    whitened, given, ends = rows.whitening(), [], [0]
+    slices = rows.chunks(_CHUNK, part_of)
+    groups = [None] * len(slices) if rows.codes is None else whitened.groups.of_slices(slices)
+    for _, own in groupby(zip(slices, groups, strict=True), lambda one: part_of[one[0].start]):
+        own = list(own)
         n_held = _HELD // -(-len(own) // _PARTS)
         for i in range(0, len(own), _PARTS):
-            some = own[i : i + _PARTS]
+            some, of_some = zip(*own[i : i + _PARTS], strict=True)
             of = slice(some[0].start, some[-1].stop)
             some = [slice(one.start - of.start, one.stop - of.start) for one in some]
-            moved = () if rows.codes is None else (whitened.basis[of], rows.codes[of])
+            moved = () if rows.codes is None else (whitened.basis[of], of_some)
             given.append((some, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
         ends.append(len(given))
     blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
@@ -482,21 +480,22 @@ def _with_one_thread(function, *given):
 class _Block:
     """Rows that are summed up together, in `parts` of whole positions; waves of some are held.
 
+    `groups` are the positions of the rows of each part, where these have offsets.
+
     `sums` are those of the columns that are always in and of y, of their products with the
     harmonics, and of the harmonics' own blocks.
     """
 
-    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes: Any = None):
+    def __init__(self, parts, n_held, columns, X, y, root, basis=None, groups=()):
         n_joints, offered = columns.arm.n_joints, columns.terms.harmonics
-        self.parts, self.n_held, self.columns, self.basis = parts, n_held, columns, basis
+        self.parts, self.n_held, self.columns = parts, n_held, columns
+        self.basis, self.groups = basis, groups
         of_joints = [slice(start // 2, end // 2) for start, end in columns.spans]
         # Joint, orders, and which of those offered they are.
         self.spans: Any = [(offered[of.start, 0], offered[of, 1], of) for of in of_joints]
         many = len(X) >= _MANY_POSES
         self.is_on_grid = [many and len(orders) >= _MANY_ORDERS for _, orders, _ in self.spans]
         self.held: dict[int, list] = {}
-        # Of each part the rows of each position.
-        self.groups = [] if basis is None else [Groups(codes[p] - codes[p][0]) for p in parts]
         self.turns: Any = np.empty((*y.shape, n_joints))
         self.angles = np.empty((len(X), n_joints))
         m, own = len(columns.others) + 1, np.zeros((3, len(offered)))

@@ -125,6 +125,11 @@ class Groups:
         old = old[np.argsort(first)]
         return np.argsort(old)[self.codes], old
 
+    def of_slices(self, slices: Iterable[slice]) -> list["Groups"]:
+        """Those of slices of rows, counted from 0; rows of a group follow each other."""
+        starts = np.cumsum(np.diff(self.codes, prepend=self.codes[:1]) != 0)
+        return [Groups(starts[of] - starts[of.start]) for of in slices]
+
     def matrix(self, weights: np.ndarray | None = None) -> Any:
         """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
         n = len(self.codes)
