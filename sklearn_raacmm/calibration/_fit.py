@@ -97,7 +97,7 @@ class Fit:
         n, n_groups = len(self.angles), self.index.max() + 1
         # Blocks of rows, and what sums up the rows of each position in them.
         self.blocks = chunks(n, _BLOCK)
-        self.summing = [Groups(self.index[part], n_groups).matrix() for part in self.blocks]
+        self.summing = [Groups(self.index[part], n_groups).total for part in self.blocks]
         self.correct(correction)
         self.slides, every = arm.slides, np.arange(arm.n_joints)
         self.turning = np.setdiff1d(every, self.slides)

@@ -506,7 +506,7 @@ class _Block:
             self.turns[part] = root[part] @ turns
             left = always = root[part] @ np.concatenate([others, y[part, :, None]], axis=2)
             if basis is not None:
-                total = self.groups[k].matrix()
+                total = self.groups[k].total
                 explained = total @ (basis[part].swapaxes(1, 2) @ always).reshape(len(left), -1)
                 explained = explained.reshape(len(explained), -1, m)[self.groups[k].codes]
                 left = always - basis[part] @ explained  # one side of a product is enough
@@ -558,8 +558,9 @@ class _Block:
             products, moved, taken = turn.swapaxes(1, 2) @ turn, turn, turn
             if self.basis is not None:
                 moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                taken = self.groups[k].sums(moved[:, :, twice] * wave[:, None])
-                taken = taken[self.groups[k].codes]
+                taken = moved[:, :, twice] * wave[:, None]
+                sums = self.groups[k].total @ taken.reshape(len(taken), -1)
+                taken = sums[self.groups[k].codes].reshape(taken.shape)
             for i, (own, (joint, *_)) in enumerate(zip(self._of_part(k), self.spans, strict=True)):
                 share = products[:, joint].take(twice, axis=1) * wave
                 if self.basis is not None:

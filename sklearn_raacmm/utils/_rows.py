@@ -142,12 +142,13 @@ class Groups:
         return csc_array((weights, self.codes, np.arange(n + 1)), shape=(n_groups, n))
 
     @cached_property
-    def _unweighted(self):
+    def total(self) -> Any:
+        """The `matrix` of rows without weights, made once."""
         return self.matrix()
 
     def sums(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
         """Weighted sum of the rows (n, ...) of each group, (n_groups, ...)."""
-        matrix = self._unweighted if weights is None else self.matrix(weights)
+        matrix = self.total if weights is None else self.matrix(weights)
         sums = matrix @ values.reshape(len(values), -1)
         return sums.reshape(len(sums), *values.shape[1:])
 
