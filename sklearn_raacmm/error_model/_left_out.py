@@ -333,22 +333,28 @@ def _at_rows(models, blocks, rows):
     n = len(rows.X)
     correction, doubt, std = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     own = [(models[block], blocks == block) for block in np.unique(blocks).tolist()]
-    if rows.codes is None:
-        for model, of in own:
-            correction[of], std[of], doubt[of] = model.predict_with_doubt(rows.X[of], True)
-        return correction, doubt, std
-    # Columns of all models at once: what positions explain of them is taken out once.
     pairs = [model.layout.terms.harmonics for model, _ in own]
-    every = np.unique(np.concatenate(pairs), axis=0)
-    columns = own[0][0].layout.with_harmonics(every).at(rows.X)
-    left = rows.along(rows.whitening().centred(columns))
+    every, columns, left = np.unique(np.concatenate(pairs), axis=0), None, None
+    if rows.codes is not None:
+        # Columns of all models at once: what positions explain of them is taken out once.
+        columns = own[0][0].layout.with_harmonics(every).at(rows.X)
+        left = rows.along(rows.whitening().centred(columns))
     for (model, of), chosen in zip(own, pairs, strict=True):
-        chosen = (every[:, None] == chosen).all(axis=2).any(axis=1)
-        chosen = np.r_[np.repeat(chosen, 2), np.ones(len(model.layout.others), dtype=bool)]
-        here, left_here = columns[of][:, :, chosen], left[of][:, :, chosen]
+        # What makes predictions fast costs as much as those of a row for each coefficient.
+        if columns is None and np.count_nonzero(of) > len(model.coef):
+            correction[of], std[of], doubt[of] = model.predict_with_doubt(rows.X[of], True)
+            continue
+        if columns is None:
+            here = model.columns(rows.X[of])
+            doubts = dots = np.tensordot(here, model.gauge_free_half, 1)
+        else:
+            chosen = (every[:, None] == chosen).all(axis=2).any(axis=1)
+            chosen = np.r_[np.repeat(chosen, 2), np.ones(len(model.layout.others), dtype=bool)]
+            here = columns[of][:, :, chosen]
+            doubts = np.tensordot(here, model.gauge_free_half, 1)
+            dots = np.tensordot(left[of][:, :, chosen], model.half, 1)
         correction[of] = here @ model.coef
-        doubt[of] = np.linalg.norm(np.tensordot(here, model.gauge_free_half, 1), axis=(1, 2))
-        std[of] = np.linalg.norm(np.tensordot(left_here, model.half, 1), axis=2)
+        doubt[of], std[of] = np.linalg.norm(doubts, axis=(1, 2)), np.linalg.norm(dots, axis=2)
     return correction, doubt, std
 
 
