@@ -334,7 +334,9 @@ def _at_rows(models, blocks, rows):
     correction, doubt, std = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     own = [(models[block], blocks == block) for block in np.unique(blocks).tolist()]
     pairs = [model.layout.terms.harmonics for model, _ in own]
-    every, columns, left = np.unique(np.concatenate(pairs), axis=0), None, None
+    every = np.unique(np.concatenate(pairs), axis=0)
+    columns: Any = None
+    left: Any = None
     if rows.codes is not None:
         # Columns of all models at once: what positions explain of them is taken out once.
         columns = own[0][0].layout.with_harmonics(every).at(rows.X)
