@@ -12,8 +12,6 @@ from functools import partial
 from time import monotonic
 
 _WIDTH = 80
-# Positions in a table on the terminal; the report has all. Characters of their labels.
-_MOST_ROWS, _LABEL = 12, 24
 _GREEN, _YELLOW, _BOLD, _PLAIN = "\x1b[32m", "\x1b[33m", "\x1b[1m", "\x1b[0m"
 # Seconds between two lines where nobody sees a bar, and between two looks at a bar.
 _LINE_EVERY, _BAR_EVERY = 60.0, 1.0
@@ -48,52 +46,11 @@ def print_verdict(text, is_good):
 
 
 def print_scores(scores, rows_named="positions"):
-    """Print what was measured at positions left out: the worst of them, means, and what else."""
-    from sklearn_raacmm.utils import Groups  # here: sentences alone need no scikit-learn
-
-    table = scores.table
-    worst = (-table["after"]).argsort(kind="stable")[:_MOST_ROWS]
-    cells = [["", "points", "before", "after", "largest before", "after"]]
-    for i in (i for i in Groups.in_order(table["position"]) if i in worst):
-        label = str(table["position"][i])
-        label = label if len(label) <= _LABEL else f"{label[: _LABEL - 3]}..."
-        values = (table[name][i] for name in ("before", "after", "before_max", "after_max"))
-        cells.append([label, str(table["n_points"][i]), *(f"{value:.4f}" for value in values)])
-    means = [f"{scores.summary[when][0]:.4f}" for when in ("before", "after")]
-    cells.append(["mean", "", *means, "", ""])
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    measure = scores.measure
+    """Print what was measured at positions left out, without the verdict, and what else."""
+    measure, lines = scores.measure, str(scores).splitlines()
     print(f"{measure[0].upper()}{measure[1:]} in mm at {rows_named} left out:")
-    for first, *rest in cells:
-        line = [first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]
-        print("  ".join(line).rstrip())
-    if (n_all := len(table["after"])) > len(worst):
-        say(f"These are the {len(worst)} worst of {n_all}; the report has all.")
-    for when in ("before", "after"):
-        _, low, high = scores.summary[when]
-        print(f"The mean {when} is {low:.4f} to {high:.4f} mm with 95 % probability.")
-    if scores.lengths:
-        before, after = abs(scores.length_errors_before), abs(scores.length_errors_after)
-        say(
-            f"Known lengths ({len(scores.lengths)}), mean error: {before.mean():.4f} mm before, "
-            f"{after.mean():.4f} mm after; the largest {before.max():.4f} and {after.max():.4f} mm."
-        )
-    say(
-        f"Of the coordinates left out, {100 * scores.coverage:.1f} % are inside the model's 95 % "
-        f"intervals; its standard deviations are multiplied by {scores.std_factor:.2f}, so that "
-        "95 % are."
-    )
-    if scores.changes:
-        say(f"What calibration changed of the table: {'; '.join(scores.changes)}.")
-    low, high = min(scores.fold_shares), max(scores.fold_shares)
-    say(
-        f"Share of the correction that is in use: {100 * scores.share:.0f} % (in the folds "
-        f"{100 * low:.0f} % to {100 * high:.0f} %)."
-    )
-    if len(scores.outliers):
-        say(f"Rows left out of all this as outliers: {len(scores.outliers)}.")
-    for finding in scores.findings:
-        say(f"{finding.weight}: {finding}")
+    for line in lines[2:]:
+        say(line)
 
 
 # -- time -----------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from time import monotonic, process_time, sleep, strftime
+from time import monotonic, sleep, strftime, thread_time
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +17,13 @@ from sklearn_raacmm.app._given import Given, in_rad
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.measurements import position_residuals
+from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import one_blas_thread, robust_scale, write_whole
 
 # Seconds: without a new row, after which it stops; between two looks; after which a last line that
-# has no end is read. Share of a core that looking takes at most; to try a correction costs one
-# second for each finished cone.
+# has no end is read. Share of a core that looking takes at most; a try of a correction, beside it,
+# costs seconds.
 _SILENCE_S, _LOOK_S, _HALF_LINE_S, _SHARE = 3600.0, 0.1, 1.0, 0.2
 # A slip is so many standard deviations away, as in `slip_factors`. Farther than so many mm a row is
 # in another place: no two cones stand closer.
@@ -33,8 +33,9 @@ _FIRST_ROWS, _GROWTH = 20, 1.1
 # What is enough: cones, poses in each, and 2S at cones left out over that at cones learnt from. A
 # choice.
 _CONES, _POSES, _NEAR_ENOUGH = 8, 10, 1.2
-# Finished cones from which on a correction is tried, or checked.
-_LEAST_LEARNT, _LEAST_CHECKED = 5, 2
+# Finished cones from which on a correction is tried, or checked; parts of them, each of which is
+# left out once.
+_LEAST_LEARNT, _LEAST_CHECKED, _FOLDS = 5, 2, 3
 # Degrees of a bin of a joint's range, and rows of the strip.
 _BIN_DEG, _STRIP = 15, 60
 
@@ -54,7 +55,7 @@ def watch(options):
         warnings.simplefilter("ignore")  # what there is to say is on the page
         try:
             while seen.job or monotonic() - grown < _SILENCE_S:
-                begun, now = process_time(), table.stat().st_size if table.is_file() else 0
+                begun, now = thread_time(), table.stat().st_size if table.is_file() else 0
                 if now != size:
                     size, grown = now, monotonic()
                 quiet = monotonic() - grown > _HALF_LINE_S
@@ -76,7 +77,7 @@ def watch(options):
                     if row not in named:
                         print(f"{strftime('%H:%M:%S')} {row} {text}", flush=True)
                         named.append(row)
-                sleep(max(_LOOK_S, (process_time() - begun) * (1 / _SHARE - 1)))
+                sleep(max(_LOOK_S, (thread_time() - begun) * (1 / _SHARE - 1)))
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
     print(f"{seen.n_rows} rows in {len(seen.cones)} cones. {seen.said}")
@@ -153,32 +154,26 @@ class _Seen:
 
     @one_blas_thread
     def _tried(self, angles, codes):
-        """Whether rows of finished cones are enough, and why."""
-        way = self._learn if self._saved is None else self._check
+        """Whether rows of finished cones are enough, and why: by a check, or by learning.
+
+        What a correction leaves at cones left out is compared with what it leaves at its own.
+        """
+        n_cones = len(np.unique(codes))
         try:
-            return way(angles, codes, len(np.unique(codes)))
+            if self._saved is not None:
+                result = self._saved.check(angles, codes)
+                said = (
+                    "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
+                )
+                return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"
+            learned: Any = learn_correction(self._nominal, angles, codes, cv=_FOLDS)
         except ValueError as error:
             return False, str(error)
-
-    def _learn(self, angles, codes, n_cones):
-        """What a correction leaves at every third cone, learnt from the others."""
-        out = np.isin(codes, np.unique(codes)[2::3])
-        arm = calibrate(self._nominal, angles[~out], codes[~out]).arm
-        points = arm.forward(angles)
-        y = position_residuals(points[~out], codes[~out])
-        model = ArmResidualRegressor(arm).fit(angles[~out], y, groups=codes[~out])
-        after = points - model.predict(angles)
-        parts = (points, out), (after, out), (after, ~out)
-        was, now, own = (single_point_repeatability(p[rows], codes[rows]) for p, rows in parts)
+        own = single_point_repeatability(learned.correct(angles)[0], codes)
+        was, now = (learned.scores.summary[when][0] for when in ("before", "after"))
         near, few = bool(now <= _NEAR_ENOUGH * own), n_cones < _CONES
         return near and not few, (
             f"At cones that it has not seen a correction by now leaves 2S {now:.3f} mm, where "
             f"calibration leaves {was:.3f} mm, and {own:.3f} mm at its own {n_cones}: further "
             f"cones {'gain little' if near else 'will help'}." + f" Take {_CONES} or more." * few
         )
-
-    def _check(self, angles, codes, n_cones):
-        """What a check says."""
-        result = self._saved.check(angles, codes)
-        said = "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
-        return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"

@@ -103,9 +103,7 @@ def check_limits(limits, n):
             [end if value is None else value for end, value in zip(_NO_LIMITS, pair, strict=False)]
             for pair in limits
         ]
-    limits = floats("limits", limits) + 0.0
-    if limits.shape != (n, 2):
-        raise ValueError(f"limits must have shape ({n}, 2), got {limits.shape}.")
+    limits = floats("limits", limits, (n, 2)) + 0.0
     wrong = ~(limits[:, 0] <= limits[:, 1])  # true for NaN, too
     if np.any(wrong):
         i = int(np.argmax(wrong))

@@ -24,6 +24,8 @@ _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 _WHEN = "before", "after"
 _FROM_FORMS = " from forms"  # of a measure, where some positions are surfaces
 _UNKNOWN_LENGTHS = "lengths-unknown"  # the code of a finding
+# Positions that are shown, and characters of their labels: `table` has all.
+_MOST_ROWS, _LABEL = 12, 24
 # Coverage factor of uncertainties that are said in words.
 _K = 2.0
 
@@ -125,20 +127,26 @@ class CorrectionScores:
         if (np.median(self.fold_shares) > 0) != (self.share > 0):
             return False, (
                 f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
-                f"than those that were judged: {_shares(self.share, self.fold_shares)}."
+                f"than those that were judged. {_shares(self.share, self.fold_shares)}."
             )
         return helps, verdict
 
     def __repr__(self) -> str:
-        of_points = f"{self.measure} before, mm", "after", "maximum before", "after"
-        cells = [["position", "points", *of_points]]
+        """Sentences, and a table of the worst positions that is at most 80 columns wide."""
+        worst = (-self.table["after"]).argsort(kind="stable")[:_MOST_ROWS]
+        cells = [["", "points", "before", "after", "largest before", "after"]]
         rows = list(zip(*self.table.values(), strict=True))
-        for i in Groups.in_order(self.table["position"]):
-            cells.append([*map(str, rows[i][:2]), *(f"{value:.4f}" for value in rows[i][2:])])
+        for i in (i for i in Groups.in_order(self.table["position"]) if i in worst):
+            label, n, *values = str(rows[i][0]), *rows[i][1:]
+            label = label if len(label) <= _LABEL else f"{label[: _LABEL - 3]}..."
+            cells.append([label, str(n), *(f"{value:.4f}" for value in values)])
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = [self.verdict]
+        lines = [self.verdict, f"{self.measure}, mm, when left out:"]
         for first, *rest in cells:
-            lines.append("  ".join([first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]))
+            line = [first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]
+            lines.append("  ".join(line).rstrip())
+        if len(rows) > len(worst):
+            lines.append(f"These are the {len(worst)} worst of {len(rows)}; a report has all.")
         measure = f"mean {self.measure.removeprefix('mean ')}"
         for when, words in {"given": "as given", "before": "before", "after": "after"}.items():
             mean, low, high = self.summary[when]
@@ -146,17 +154,20 @@ class CorrectionScores:
         if self.lengths:
             before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
             lines.append(
-                f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
-                f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
+                f"Known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
+                f"{after.mean():.4f} mm after; the largest {before.max():.4f} and "
+                f"{after.max():.4f} mm."
             )
         lines.append(
-            f"inside the model's own 95 % intervals: {self.coverage:.1%} of the coordinates; its "
-            f"standard deviations are multiplied by {self.std_factor:.2f}, so that 95 % are"
+            f"Of the coordinates left out, {self.coverage:.1%} are inside the model's 95 % "
+            f"intervals; its standard deviations are multiplied by {self.std_factor:.2f}, so that "
+            "95 % are."
         )
-        lines.append(_shares(self.share, self.fold_shares))
-        lines += [f"calibration: {change}" for change in self.changes]
+        if self.changes:
+            lines.append(f"What calibration changed of the table: {'; '.join(self.changes)}.")
+        lines.append(f"{_shares(self.share, self.fold_shares)}.")
         if len(self.outliers):
-            lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
+            lines.append(f"Rows left out of all this as outliers: {len(self.outliers)}.")
         lines += [f"{finding.weight}: {finding}" for finding in self.findings]
         return "\n".join(lines)
 
@@ -181,7 +192,7 @@ def linear_in_use(model):
 
 def _shares(share, of_folds):
     low, high = min(of_folds), max(of_folds)
-    return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
+    return f"Share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
 def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):

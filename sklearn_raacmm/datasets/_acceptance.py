@@ -149,7 +149,9 @@ class _Drawn:
                 where = (str(k + 1), "") if test == "articulation" else ("", str(k + 1))
                 shift = self.error * artefact.fixture_mm / 2 * self.own.normal(size=3)
                 shift *= test == "articulation"
-                for j, out in enumerate(_half_sphere(n, self.rng.uniform(0, 2 * np.pi))):
+                height = 1 - (np.arange(n) + 0.5) / n  # evenly over the upper half
+                turn = _GOLDEN_ANGLE * n * (1 - height) + self.rng.uniform(0, 2 * np.pi)
+                for j, out in enumerate(directions_at(height, turn)):
                     at = place + shift + (radius + out @ form @ out) * out
                     labels = (test, artefact.name, str(i + 1), *where, "")
                     self.rows.append((labels, at, poses[i][k * n + j]))
@@ -172,9 +174,3 @@ class _Drawn:
                     labels = (test, name, position, "", str(k + 1), "ab"[end])
                     at = pair[end] + (2 * end - 1) * half
                     self.rows.append((labels, at, poses[2 * i + end][k]))
-
-
-def _half_sphere(n, turn):
-    """Directions (n, 3) spread evenly over the upper half of a sphere."""
-    height = 1 - (np.arange(n) + 0.5) / n
-    return directions_at(height, _GOLDEN_ANGLE * n * (1 - height) + turn)

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import hashlib
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
@@ -20,7 +19,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.measurements import position_residuals
-from sklearn_raacmm.utils import param_checks
+from sklearn_raacmm.utils import digest_of, param_checks
 
 # Checksum of each file, by its name.
 _LINES = Path(__file__).with_name("_sha256.txt").read_text(encoding="utf-8").splitlines()
@@ -218,7 +217,7 @@ def cached_file(name, folder, address, download_if_missing, *, n_retries=3, dela
     if not download_if_missing:
         if not path.is_file():
             raise OSError(f"{path} is not there, and download_if_missing=False.")
-        if (checksum := hashlib.sha256(path.read_bytes()).hexdigest()) != sha256:
+        if (checksum := digest_of(path.read_bytes())) != sha256:
             raise OSError(
                 f"{path} has the SHA-256 checksum {checksum}, but {sha256} is expected: it was cut "
                 "short or changed, and download_if_missing=False."

@@ -176,7 +176,7 @@ class SimulatedArm:
         pulled = (axes * np.cross(levers / 1e3, -self.true_arm.up)).sum(axis=2) * payload
         lag, softening = np.zeros(angles.shape), np.zeros(angles.shape)
         if directions is not None:
-            lag = -self._play / 2 * _points("directions", directions, angles.shape)
+            lag = -self._play / 2 * floats("directions", directions, angles.shape, finite=True)
         _, _, forearm, wrist = self._loads()
         # Torque about the elbow over that of the horizontal forearm.
         load = torques[:, 3] / ((forearm / 2 + wrist) * self.nominal_arm.d[4] / 1e3)
@@ -299,7 +299,7 @@ class SimulatedArm:
             If so many poses cannot be found.
         """
         rng = check_random_state(random_state)
-        point = _points("point", point, (3,))
+        point = floats("point", point, (3,), finite=True)
         check_scalar(n_poses, "n_poses", Integral, min_val=0)
         arm = self.nominal_arm
         poses = np.empty((0, 6))
@@ -339,7 +339,7 @@ class SimulatedArm:
             If some points are out of reach.
         """
         angles = self.true_arm.check_angles(angles)
-        points = _points("points", points, (len(angles), 3))
+        points = floats("points", points, (len(angles), 3), finite=True)
         forward: Callable[..., np.ndarray] = partial(self.forward, **state)
         angles = _reach(forward, self.true_arm, angles, points)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
@@ -394,13 +394,6 @@ def directions_at(height, azimuth):
     """Unit vectors (n, 3) of this height and azimuth."""
     across = np.sqrt(1 - height**2)
     return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), height])
-
-
-def _points(name, points, shape) -> np.ndarray:
-    points = floats(name, points, finite=True)
-    if points.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {points.shape}.")
-    return points
 
 
 def _reach(forward, arm, angles, points):

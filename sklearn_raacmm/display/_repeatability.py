@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
-from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.metrics import difference, repeatability_interval, single_point_repeatability
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 # Places have no order, so that no line joins them.
@@ -117,7 +116,7 @@ class RepeatabilityDisplay:
         statistic: str = "2s",
         name: str = "after",
         interval: float | None = 0.95,
-        ax=None,
+        ax: Any = None,
     ) -> Self:
         """Draw the repeatability of points before and after a given correction.
 
@@ -147,10 +146,9 @@ class RepeatabilityDisplay:
             If shapes differ, values are not finite, a position holds a single point, or `interval`
             is not between 0 and 1.
         """
-        points = floats("points", points, 3)
-        sides = {"before": points, "after": _subtract(points, y_pred)}
+        sides = {"before": points, "after": difference(points=points, y_pred=y_pred)}
         if perfect is not None:
-            sides["floor"] = _subtract(points, perfect)
+            sides["floor"] = difference(points=points, perfect=perfect)
         options: dict = {"groups": groups, "statistic": statistic, "aggregate": None}
         values = {side: single_point_repeatability(some, **options) for side, some in sides.items()}
         if interval is not None and statistic != "max":
@@ -207,11 +205,3 @@ class RepeatabilityDisplay:
         self.ax_: Any = ax
         self.figure_: Any = ax.figure
         return self
-
-
-def _subtract(points, correction):
-    """Take a correction (n, 3) off points (n, 3), both checked."""
-    correction = floats("correction", correction, 3)
-    if len(correction) != len(points):
-        raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
-    return points - correction

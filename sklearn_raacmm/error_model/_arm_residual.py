@@ -460,9 +460,6 @@ class ArmResidualRegressor(PointCorrectionMixin):
         """Where the arm says that its probe is, (n, 3) in mm."""
         return self.arm_.points_at(check_poses(self, X)[:, : self.arm_.n_joints])
 
-    def _knows_deviations_only(self):
-        return self.offsets_
-
     def with_arm(self, arm: Arm, *, stated: bool = False) -> Self:
         """Move the fitted model to another probe.
 

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import hashlib
 import re
 import textwrap
 
@@ -12,6 +11,7 @@ import numpy as np
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import Tables, function, template
 from sklearn_raacmm.export._proof import TOLERANCE
+from sklearn_raacmm.utils import digest_of
 
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
@@ -45,8 +45,8 @@ def sources(program, name, stem, dtype, card=None, notes=()):
     banner = comment(facts + ([] if card is None else ["", *str(card).splitlines()]))
     macros = _macros(program, name, card if isinstance(card, dict) else {}, tables.n_bytes)
     # Of all that the two files hold: one of each of two exports do not fit together.
-    pair = hashlib.sha256("\0".join([banner, macros, text, *map(str, functions)]).encode())
-    pair = f"{name.upper()}_PAIR_{pair.hexdigest()[:16]}"
+    pair = digest_of("\0".join([banner, macros, text, *map(str, functions)]))
+    pair = f"{name.upper()}_PAIR_{pair[:16]}"
     guard = f"{name.upper()}_H"
     declared = "".join(f"/* {what} */\n{head};\n\n" for head, what, _ in functions)
     defined = "\n\n".join(f"{head}\n{{\n{body}}}" for head, _, body in functions)

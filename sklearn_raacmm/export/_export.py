@@ -21,13 +21,6 @@ from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_r
 from sklearn_raacmm.utils import write_whole
 
 
-def _check(card, fade, std):
-    """Refuse what cannot be one of these parameters."""
-    check_options(std, fade)
-    if not (card is None or isinstance(card, str | dict)):
-        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
-
-
 def export_c(
     model: object,
     path: str | PathLike[str],
@@ -151,7 +144,7 @@ def export_c(
             f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
-    _check(card, fade, std)
+    check_options(std, fade, card)
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
     given = None if isinstance(poses, str) and poses == "random" else poses
@@ -284,7 +277,7 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check(card, fade, std)
+    check_options(std, fade, card)
     program, rows, notes = _faded(model, None, fade, std)
     made = convert(program)
     facts = {"sklearn_raacmm_version": __version__, "fingerprint": program.fingerprint}

@@ -196,11 +196,13 @@ def load_c(
     return CompiledModel(program, flat=flat)
 
 
-def check_options(std, fade):
-    """Refuse what cannot say whether there is a deviation, or how a correction fades."""
+def check_options(std, fade, card=None):
+    """Refuse what is no answer to whether deviations are asked, how it fades, and what it is."""
     check_flags(std=std)
     if not (fade is False or (isinstance(fade, str) and fade in ("small", "exact"))):
         raise ValueError(f"fade must be 'small', 'exact' or False, got {fade!r:.60}.")
+    if not (card is None or isinstance(card, str | dict)):
+        raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
 
 
 def answers_in_c(program, dtype, X):

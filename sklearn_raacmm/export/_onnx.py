@@ -81,8 +81,9 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_ufunc__(self, ufunc, method, *inputs, **_):
         name = ufunc.__name__
-        if name == "cos":
-            return _cosine(*inputs)
+        if name == "cos":  # by the sine of the half: older runtimes have no other in float64
+            half = np.sin(0.5 * inputs[0])
+            return 1.0 - half * half * 2.0
         if name == "arctan2":
             return _elevation(*inputs)
         return self._node(ufunc(*map(_like, inputs)), _OPERATORS[name], *inputs)
@@ -112,12 +113,6 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
 def _like(value):
     return value.like if isinstance(value, _Traced) else value
-
-
-def _cosine(x):
-    """By the sine of the half: older runtimes have no other in float64."""
-    half = np.sin(0.5 * x)
-    return 1.0 - half * half * 2.0
 
 
 def _elevation(height, reach):

@@ -8,13 +8,12 @@ the writers know these operations and no kind of model.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import hashlib
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.utils import LARGEST
+from sklearn_raacmm.utils import LARGEST, digest_of
 
 # Columns of one vector, from which on they are taken together.
 _MANY = 24
@@ -113,10 +112,8 @@ class Program:
         """
         if self.exact is not None:
             return self.exact.fingerprint
-        digest = hashlib.sha256()
-        for op in self.pruned("y").ops:
-            digest.update(repr((op.name, op.inputs, op.size, _bytes(op.given))).encode())
-        return digest.hexdigest()
+        ops = self.pruned("y").ops
+        return digest_of("".join(repr((o.name, o.inputs, o.size, _bytes(o.given))) for o in ops))
 
     def run(self, X):
         """Outputs at the rows of X, as a dict of arrays (n, size)."""
@@ -209,11 +206,6 @@ def _dots(rows, x):
     if rows.shape[1] == n:
         return (rows * x).sum(axis=1, keepdims=True)
     return (rows.reshape(-1, rows.shape[1] // n, n) * x.reshape(-1, 1, n)).sum(axis=2)
-
-
-def _finite(y, x):
-    """NaN where a number is NaN or larger than ``predict`` takes."""
-    return _within(y, x, -LARGEST, LARGEST)
 
 
 def _within(y, x, low, high):
@@ -325,7 +317,8 @@ OPERATIONS = {
     "join": lambda *values: np.concatenate(values, axis=1),
     "dots": _dots,
     "affine": lambda x, matrix, shift: x @ matrix.T + shift,
-    "finite": _finite,
+    # NaN where a number is NaN or larger than ``predict`` takes.
+    "finite": lambda y, x: _within(y, x, -LARGEST, LARGEST),
     "within": _within,
     "frames": _frames,
     "waves": _waves,

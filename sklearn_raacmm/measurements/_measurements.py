@@ -169,9 +169,7 @@ class Measurements:
         n = len(angles)
         found: dict[str, Any] = {"joint_types": types}
         if points is not None:
-            points = floats("points", points, 3)
-            if len(points) != n:
-                raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
+            points = floats("points", points, (n, 3), finite=True)
             if features:
                 raise ValueError("features are groups of touches; measured points have none.")
         elif stations is not None:

@@ -18,8 +18,8 @@ _DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
 class PointCorrectionMixin(VersionedRegressor):
     """`correct` and `score` of a regressor that predicts residuals of an arm's points.
 
-    The estimator has `_points_of`, the arm's points at X or None, and `_knows_deviations_only`:
-    whether the residuals of its fit are known up to one constant at each position.
+    The estimator has `_points_of`, the arm's points at X or None, and says in `by_position_` or
+    `offsets_` whether the residuals of its fit are known up to one constant at each position.
     """
 
     # With metadata routing on, groups are asked for without a word.
@@ -29,7 +29,6 @@ class PointCorrectionMixin(VersionedRegressor):
         predict: Any
 
         def _points_of(self, X: ArrayLike) -> Floats | None: ...
-        def _knows_deviations_only(self) -> bool: ...
 
     @overload
     def correct(
@@ -140,7 +139,7 @@ class PointCorrectionMixin(VersionedRegressor):
             groups = positions_of(points, floats("y", y, 3))
         if groups is not None:
             return score_within(y, self.predict(X), groups, sample_weight)
-        if self._knows_deviations_only():
+        if getattr(self, "by_position_", False) or getattr(self, "offsets_", False):
             raise ValueError(
                 "This model was fitted on deviations from positions' means, which plain R2 "
                 "misjudges, and score got no groups: take "

@@ -14,6 +14,7 @@ from sklearn_raacmm.metrics._acceptance import (
 )
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
+    difference as difference,
     repeatability_interval,
     repeatability_scorer,
     single_point_repeatability,

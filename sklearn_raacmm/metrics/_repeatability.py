@@ -231,7 +231,7 @@ def within_position_r2_score(
     >>> within_position_r2_score([4.0, 0.0, 9.0, 5.0], [2.0, 0.0, 2.0, 0.0], groups=[1, 1, 2, 2])
     0.75
     """
-    after = (_deviations(_difference(y_true, y_pred), groups)[0] ** 2).sum()
+    after = (_deviations(difference(y_true=y_true, y_pred=y_pred), groups)[0] ** 2).sum()
     before = (_deviations(y_true, groups)[0] ** 2).sum()
     if before == 0:
         raise ValueError("y_true does not vary within any position: there is nothing to explain.")
@@ -312,7 +312,7 @@ def _routed_scatter(y_true, y_pred, *, groups=None, **options):
             "repeatability_scorer() got no groups. Enable metadata routing and pass groups, or "
             "tell the scorer beforehand: repeatability_scorer(X, groups)."
         )
-    return single_point_repeatability(_difference(y_true, y_pred), groups, **options)
+    return single_point_repeatability(difference(y_true=y_true, y_pred=y_pred), groups, **options)
 
 
 def _positions_of_rows(X, groups):
@@ -339,14 +339,16 @@ def _minus_scatter(estimator, X, y, *, positions, **options):
             f"{n_unknown} of {len(rows)} rows were not in the X given to "
             "repeatability_scorer(X, groups), so their groups are unknown."
         )
-    return -single_point_repeatability(_difference(y, estimator.predict(X)), position, **options)
+    left = difference(y_true=y, y_pred=estimator.predict(X))
+    return -single_point_repeatability(left, position, **options)
 
 
-def _difference(y_true, y_pred):
-    y_true, y_pred = floats("y_true", y_true, -1), floats("y_pred", y_pred, -1)
-    if y_true.shape != y_pred.shape:
-        raise ValueError(f"y_true has shape {y_true.shape}, but y_pred {y_pred.shape}.")
-    return y_true - y_pred
+def difference(**both: ArrayLike) -> Floats:
+    """What is left of points or residuals (n, q) less a correction: two arrays, by their names."""
+    (name, points), (other, correction) = ((n, floats(n, v, -1)) for n, v in both.items())
+    if points.shape != correction.shape:
+        raise ValueError(f"{name} has shape {points.shape}, but {other} {correction.shape}.")
+    return points - correction
 
 
 def _groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:

@@ -317,9 +317,6 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         arm = self._arm()
         return None if arm is None or not self._rotates else arm.forward(X)
 
-    def _knows_deviations_only(self):
-        return self.by_position_
-
     def _arm(self):
         """The arm whose method gives the azimuth, or None."""
         method = getattr(self.azimuth, "__func__", None)

@@ -87,24 +87,26 @@ def is_dask(X: Any) -> bool:
 
 
 def floats(
-    name: str, value: object, columns: int | None = None, *, finite: bool = False
+    name: str, value: object, shape: int | tuple[int, ...] | None = None, *, finite: bool = False
 ) -> np.ndarray:
     """Numbers as float64.
 
-    With `columns` they are finite and have one row at least and so many columns. -1 is any number
-    of columns, and makes one column of one dimension. `finite` refuses NaN, infinity, and numbers
-    whose squares overflow.
+    With a number of columns as `shape` they are finite and have one row at least and so many
+    columns. -1 is any number of columns, and makes one column of one dimension. A tuple is the
+    whole shape. `finite` refuses NaN, infinity, and numbers whose squares overflow.
     """
     refuse_disguised(name, value)
     array = _converted(name, value)
-    if columns == -1 and array.ndim == 1:
-        array = array[:, None]
-    if columns is not None and not (array.ndim == 2 and columns in (-1, array.shape[1])):
-        needed = "(n_rows, n_columns)" if columns == -1 else f"(n_rows, {columns})"
-        raise ValueError(f"{name} has shape {array.shape}; {needed} is needed.")
-    if columns is not None and not array.size:
-        raise ValueError(f"{name} is empty, of shape {array.shape}.")
-    if finite or columns is not None:
+    if isinstance(shape, tuple) and array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}.")
+    if isinstance(shape, int):
+        array = array[:, None] if shape == -1 and array.ndim == 1 else array
+        if not (array.ndim == 2 and shape in (-1, array.shape[1])):
+            needed = "(n_rows, n_columns)" if shape == -1 else f"(n_rows, {shape})"
+            raise ValueError(f"{name} has shape {array.shape}; {needed} is needed.")
+        if not array.size:
+            raise ValueError(f"{name} is empty, of shape {array.shape}.")
+    if finite or isinstance(shape, int):
         _refuse_huge(name, array)
     return array
 

@@ -40,7 +40,7 @@ def test_lines_are_as_wide_as_a_terminal(result, monkeypatch, capsys):
     rows = re.findall(r"(?m)^(\d\d) .*\.\.\. +6 ", printed)
     worst = np.argsort(-result.scores.table["after"])[:12]
     assert rows == sorted(result.scores.table["position"][i][:2] for i in worst)
-    assert "These are the 12 worst of 20; the report has all." in printed
+    assert "These are the 12 worst of 20; a report has all." in printed
     assert f"{result.scores.summary['after'][0]:.4f}" in printed
 
 

@@ -116,10 +116,11 @@ def test_a_correction_in_use_is_checked(test, tmp_path):
 
 
 def test_rows_that_no_calibration_explains_are_judged_all_the_same(test, monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise ValueError("They belong to another table.")
 
     monkeypatch.setattr(_watch, "calibrate", refuse)
+    monkeypatch.setattr(_watch, "learn_correction", refuse)
     arm, angles, labels = test
     seen = _watch._Seen(arm, None)
     seen.take(as_table(angles, labels))

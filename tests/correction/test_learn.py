@@ -167,7 +167,7 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     error = np.linalg.norm(ends[0] - ends[1]) - 400
     place = [entry[0] for entry in scores.lengths].index(first)
     assert scores.length_errors_before[place] == pytest.approx(error, abs=1e-6)
-    assert "known lengths (6), mean error" in str(scores)
+    assert "Known lengths (6), mean error" in str(scores)
     # The two ends of a placement resemble each other: placements are independent, not ends.
     pairs = scores.table["after"].reshape(6, 2).mean(axis=1)
     relative = stats.t.interval(0.95, 5, scale=stats.sem(pairs) / pairs.mean())
