@@ -62,7 +62,8 @@ class JointTypes(str):
                 row, i = np.argwhere(wrong)[0]
                 raise ValueError(
                     f"joint {slides[i] + 1} slides, and is at {angles[row, slides[i]]:g} mm in row "
-                    f"{row}: a finite number of at most {MAX_LENGTH_MM:g} mm is needed."
+                    f"{Finding.row_numbers([row])[0]}: a finite number of at most "
+                    f"{MAX_LENGTH_MM:g} mm is needed."
                 )
             turned = angles * self.by_type(1.0, 0.0)
         # Max and min carry NaN along: one pass each, and no mask of the size of the data.
@@ -74,7 +75,7 @@ class JointTypes(str):
             row, column = bad[0]
             raise ValueError(
                 f"angles hold {len(bad)} NaN or infinite values; the first is "
-                f"{angles[row, column]} in row {row}, joint {column + 1}."
+                f"{angles[row, column]} in row {Finding.row_numbers([row])[0]}, joint {column + 1}."
             )
         self._check_unit(largest, angle_unit)
         return angles if angle_unit == "rad" else angles * self.by_type(np.pi / 180)
