@@ -6,6 +6,6 @@
 # ruff: noqa: F401  (used by the other subpackages)
 
 from sklearn_raacmm.arm._arm import Arm as Arm  # "as" for type checkers: users import it from here
-from sklearn_raacmm.arm._checks import JointTypes
+from sklearn_raacmm.arm._kinematics import JointTypes
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,21 +1,13 @@
-"""What an arm accepts: numbers, bounds, angles; each fault gets one clear sentence."""
+"""What the fields of an arm accept: numbers, bounds, names; each fault gets one clear sentence."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import Finding, Weight, check_option, floats
+from sklearn_raacmm.utils import floats
 
-# Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
-_WARN_RAD = 4 * np.pi
-# Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
-# degrees stand still, and an arm that moves one joint only may stay near its zero.
-_WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
-# Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
-_ABSURD_DEG = 3600.0
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # Largest departure of a matrix from a rotation.
@@ -137,74 +129,3 @@ def check_pair(name, value, low, high):
             f"{name} must be two different whole numbers from {low} to {high}, got {value!r:.60}."
         )
     return tuple(pair.astype(int).tolist())
-
-
-class JointTypes(str):
-    """A letter for each joint, such as "PRRRRRR": R where it turns, P where it slides."""
-
-    __slots__ = ()
-
-    @property
-    def slides(self) -> list[int]:
-        """Numbers, from 0, of the joints that slide."""
-        return [i for i, kind in enumerate(self) if kind == "P"] if "P" in self else []
-
-    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
-        """A number for each joint, (n_joints,): of those that turn, and of those that slide."""
-        return np.where([kind == "P" for kind in self], of_slides, of_turns)
-
-    def check_angles(self, angles: ArrayLike, angle_unit: str) -> np.ndarray:
-        """Angles (n_samples, n_joints) as float64 in rad, and mm of what slides.
-
-        Warns where the unit is likely another.
-        """
-        check_option("angle_unit", angle_unit, ("rad", "deg"))
-        angles = floats("angles", angles)
-        if angles.ndim != 2 or angles.shape[1] != len(self):
-            raise ValueError(
-                f"angles must have shape (n_samples, {len(self)}) for an arm of "
-                f"{len(self)} joints, got {angles.shape}."
-            )
-        if not len(angles):
-            return angles
-        turned = angles
-        if slides := self.slides:
-            wrong = ~(np.abs(angles[:, slides]) <= MAX_LENGTH_MM)  # true for NaN, too
-            if wrong.any():
-                row, i = np.argwhere(wrong)[0]
-                raise ValueError(
-                    f"joint {slides[i] + 1} slides, and is at {angles[row, slides[i]]:g} mm in row "
-                    f"{row}: a finite number of at most {MAX_LENGTH_MM:g} mm is needed."
-                )
-            turned = angles * self.by_type(1.0, 0.0)
-        # Max and min carry NaN along: one pass each, and no mask of the size of the data.
-        if angle_unit == "rad" and max(turned.max(), -turned.min()) <= _WARN_RAD:  # false for NaN
-            return angles
-        largest = np.maximum(turned.max(axis=0), -turned.min(axis=0))
-        if not np.all(np.isfinite(largest)):
-            bad = np.argwhere(~np.isfinite(turned))
-            row, column = bad[0]
-            raise ValueError(
-                f"angles hold {len(bad)} NaN or infinite values; the first is "
-                f"{angles[row, column]} in row {row}, joint {column + 1}."
-            )
-        self._check_unit(largest, angle_unit)
-        return angles if angle_unit == "rad" else angles * self.by_type(np.pi / 180)
-
-    def _check_unit(self, largest, angle_unit):
-        """Report angles, of which these (n_joints,) are the largest, that seem of another unit."""
-        most, joint = float(largest.max()), int(largest.argmax()) + 1
-        weight: Weight = "doubt"
-        if angle_unit == "rad":
-            text = f"angles reach {most:g} rad (joint {joint}), more than two turns:"
-            advice = "if they are degrees, convert them or pass "
-            advice += 'angle_unit="deg" (raacmm: --unit deg).'
-        elif most > _ABSURD_DEG:
-            text = f"angles reach {most:g} degrees (joint {joint}), more than ten turns:"
-            advice, weight = "are they counts of the encoders? Convert them to degrees.", "repair"
-        elif most < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
-            text = f"angles in degrees reach {most:g} only (joint {joint}):"
-            advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
-        else:
-            return
-        Finding("angle-unit", text, advice, weight, joints=(joint,)).report()

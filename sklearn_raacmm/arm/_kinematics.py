@@ -9,15 +9,94 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._checks import JointTypes
-from sklearn_raacmm.utils import Floats, chunks
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM
+from sklearn_raacmm.utils import Finding, Floats, Weight, check_option, chunks, floats
 
+# Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
+_WARN_RAD = 4 * np.pi
+# Degrees of real poses are larger than one turn in radians in some joint. Joints of less than 0.2
+# degrees stand still, and an arm that moves one joint only may stay near its zero.
+_WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
+# Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
+_ABSURD_DEG = 3600.0
 # What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
 _TRAVEL_MM = 2000.0
 # Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
 CHUNK_ROWS = 4096
 # Along x, y and z of the base: its own axes and its origin.
 _BASE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+
+
+class JointTypes(str):
+    """A letter for each joint, such as "PRRRRRR": R where it turns, P where it slides."""
+
+    __slots__ = ()
+
+    @property
+    def slides(self) -> list[int]:
+        """Numbers, from 0, of the joints that slide."""
+        return [i for i, kind in enumerate(self) if kind == "P"] if "P" in self else []
+
+    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
+        """A number for each joint, (n_joints,): of those that turn, and of those that slide."""
+        return np.where([kind == "P" for kind in self], of_slides, of_turns)
+
+    def check_angles(self, angles: ArrayLike, angle_unit: str) -> np.ndarray:
+        """Angles (n_samples, n_joints) as float64 in rad, and mm of what slides.
+
+        Warns where the unit is likely another.
+        """
+        check_option("angle_unit", angle_unit, ("rad", "deg"))
+        angles = floats("angles", angles)
+        if angles.ndim != 2 or angles.shape[1] != len(self):
+            raise ValueError(
+                f"angles must have shape (n_samples, {len(self)}) for an arm of "
+                f"{len(self)} joints, got {angles.shape}."
+            )
+        if not len(angles):
+            return angles
+        turned = angles
+        if slides := self.slides:
+            wrong = ~(np.abs(angles[:, slides]) <= MAX_LENGTH_MM)  # true for NaN, too
+            if wrong.any():
+                row, i = np.argwhere(wrong)[0]
+                raise ValueError(
+                    f"joint {slides[i] + 1} slides, and is at {angles[row, slides[i]]:g} mm in row "
+                    f"{Finding.row_numbers([row])[0]}: a finite number of at most "
+                    f"{MAX_LENGTH_MM:g} mm is needed."
+                )
+            turned = angles * self.by_type(1.0, 0.0)
+        # Max and min carry NaN along: one pass each, and no mask of the size of the data.
+        if angle_unit == "rad" and max(turned.max(), -turned.min()) <= _WARN_RAD:  # false for NaN
+            return angles
+        largest = np.maximum(turned.max(axis=0), -turned.min(axis=0))
+        if not np.all(np.isfinite(largest)):
+            bad = np.argwhere(~np.isfinite(turned))
+            row, column = bad[0]
+            raise ValueError(
+                f"angles hold {len(bad)} NaN or infinite values; the first is "
+                f"{angles[row, column]} in row {Finding.row_numbers([row])[0]}, joint {column + 1}."
+            )
+        self._check_unit(largest, angle_unit)
+        return angles if angle_unit == "rad" else angles * self.by_type(np.pi / 180)
+
+    def _check_unit(self, largest, angle_unit):
+        """Report angles, of which these (n_joints,) are the largest, that seem of another unit."""
+        most, joint = float(largest.max()), int(largest.argmax()) + 1
+        weight: Weight = "doubt"
+        if angle_unit == "rad":
+            text = f"angles reach {most:g} rad (joint {joint}), more than two turns:"
+            advice = "if they are degrees, convert them or pass "
+            advice += 'angle_unit="deg" (raacmm: --unit deg).'
+        elif most > _ABSURD_DEG:
+            text = f"angles reach {most:g} degrees (joint {joint}), more than ten turns:"
+            advice, weight = "are they counts of the encoders? Convert them to degrees.", "repair"
+        elif most < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
+            text = f"angles in degrees reach {most:g} only (joint {joint}):"
+            advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
+        else:
+            return
+        Finding("angle-unit", text, advice, weight, joints=(joint,)).report()
 
 
 class Chain:
@@ -52,14 +131,14 @@ class Chain:
         Parameters
         ----------
         **changes : object
-            Fields as :meth:`replace` leaves them.
+            Fields as :meth:`replace` leaves them. Which joints slide stays as it is.
 
         Returns
         -------
         Arm
         """
         one = object.__new__(type(self))
-        vars(one).update(self.__getstate__() | changes)
+        vars(one).update(self.__getstate__() | {"slides": self.slides} | changes)
         return one
 
     # -- joints: what is said of them, and what they may be -----------------------------------
@@ -188,7 +267,7 @@ class Chain:
         ndarray of shape (n_samples, n_joints)
             The same where the arm has no `couplings`; else with the angles that are added.
         """
-        return angles @ self._sums.T if self.couplings else angles
+        return angles @ self.own_by_given.T if self.couplings else angles
 
     def phases(self, angles: Floats) -> Floats:
         """Angles of which harmonics of each joint's error are sines and cosines.
@@ -240,10 +319,10 @@ class Chain:
         ndarray of shape (..., n_joints)
         """
         by_own = jacobian * self.joint_signs
-        return by_own @ self._sums if self.couplings else by_own
+        return by_own @ self.own_by_given if self.couplings else by_own
 
     @cached_property
-    def _sums(self):
+    def own_by_given(self) -> Floats:
         """Matrix (n_joints, n_joints) that makes the joints' own angles of those that are given."""
         sums = np.eye(self.n_joints)
         for joint, other, factor in self.couplings:
@@ -444,7 +523,9 @@ class Chain:
         own = self.probe[:, None] if probes is None else probes.T
         return (own[:, None] * frames[-1, :3]).sum(axis=0) + frames[-1, 3]
 
-    def axis_vectors(self, angles: Floats, probes: Floats | None = None) -> tuple[Floats, Floats]:
+    def axis_vectors(
+        self, angles: Floats, probes: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats]:
         """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
         Parameters
@@ -461,6 +542,8 @@ class Chain:
             probe, mm per rad; then the axes themselves.
         places : ndarray of shape (n_samples, 3, n_frames + 1)
             The frames' origins and the probe, mm.
+        phases : ndarray of shape (n_samples, n_joints)
+            Those of :meth:`phases`, rad.
         """
         frames = self._columns(angles)
         k, n = len(frames), len(angles)
@@ -478,15 +561,17 @@ class Chain:
         vectors[:, 0] -= axes[2:] * lever[1:4]
         vectors[:, 1] = axes[:3]
         vectors = np.ascontiguousarray(vectors.reshape(3, 6 * k, n).transpose(2, 0, 1))
-        return vectors, places.transpose(2, 0, 1)
+        return vectors, places.transpose(2, 0, 1), self.phases(angles)
 
-    def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
+    def parameter_jacobian(self, angles: Floats, **changes: object) -> tuple[Floats, Floats]:
         """Position of the probe, and its derivatives by the numbers of the table.
 
         Parameters
         ----------
         angles : ndarray of shape (n_samples, n_joints)
             In rad, and mm of what slides; not checked.
+        **changes : object
+            Fields that are others than the arm's own, as of :meth:`on_trial`.
 
         Returns
         -------
@@ -495,14 +580,14 @@ class Chain:
         derivatives : ndarray of shape (n_samples, 3, 4 * n_joints + 3)
             By `a`, `alpha`, `d`, `theta_offset` and `probe`, mm per mm and mm per rad.
         """
-        n = self.n_joints
+        arm, n = self.on_trial(**changes), self.n_joints
         points = np.empty((len(angles), 3))
         jac = np.empty((len(angles), 3, 4 * n + 3))
         for rows in chunks(len(angles), CHUNK_ROWS):
-            frames = self._columns(angles[rows])
-            probe = self._probe(frames)
+            frames = arm._columns(angles[rows])
+            probe = arm._probe(frames)
             points[rows] = probe.T
-            of_x, of_z = (self._along_and_about(frames, axis, probe) for axis in (0, 2))
+            of_x, of_z = (arm._along_and_about(frames, axis, probe) for axis in (0, 2))
             for i, moved in enumerate([*of_x, *of_z]):
                 jac[rows, :, i * n : (i + 1) * n] = moved.transpose(2, 0, 1)
             jac[rows, :, 4 * n :] = frames[-1, :3].transpose(2, 1, 0)

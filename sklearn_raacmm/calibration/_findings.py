@@ -10,7 +10,6 @@ from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
-from sklearn_raacmm.calibration._worth import covariance_of
 from sklearn_raacmm.measurements import Explanation, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding
 
@@ -214,7 +213,7 @@ def _poses_alike(fit):
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
-    points, jac = fit.table_jacobian(arm, angles)
+    points, jac = fit.table_jacobian(angles, fit.x)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)
@@ -222,7 +221,7 @@ def _poses_alike(fit):
     base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]
     jac = jac.reshape(3 * _TRIED, -1)
     jac = (jac - base @ (base.T @ jac))[:, is_free]
-    covariance = covariance_of(fit)[: is_free.sum(), : is_free.sum()]
+    covariance = fit.covariance()[: is_free.sum(), : is_free.sum()]
     if not np.all(np.isfinite(covariance)):
         return
     known, table = (

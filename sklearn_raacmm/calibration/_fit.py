@@ -13,8 +13,8 @@ from scipy.stats import chi, norm
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
-from sklearn_raacmm.utils import Groups, align, chunks, robust_scale
+from sklearn_raacmm.measurements import STILL_MM, base_motions
+from sklearn_raacmm.utils import Groups, Whitening, align, chunks, robust_scale
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds
@@ -58,6 +58,8 @@ _ROUNDING = 1e-14
 _BLOCK, _HELD = 4096, 2**14
 # Where the search for the size of what the table does not explain begins, rad, and its steps.
 _MISFIT_RAD, _MISFIT_ROUNDS = 1e-4, 30
+# Places that are all within this part of the reach show nothing of the scale.
+_NEAR_SHARE = 0.1
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -91,10 +93,11 @@ class Fit:
         self.n_tools, self.n_stations = problem.n_tools, problem.n_stations
         # Where points were measured all rows are beside one mean.
         self.index = np.zeros(len(self.angles), int) if self.n_stations else problem.index
+        self.groups = Groups(self.index)
         n, n_groups = len(self.angles), self.index.max() + 1
         # Blocks of rows, and what sums up the rows of each position in them.
         self.blocks = chunks(n, _BLOCK)
-        self.summing = [Groups(self.index[part], n_groups).matrix() for part in self.blocks]
+        self.summing = [Groups(self.index[part], n_groups).total for part in self.blocks]
         self.correct(correction)
         self.slides, every = arm.slides, np.arange(arm.n_joints)
         self.turning = np.setdiff1d(every, self.slides)
@@ -190,7 +193,7 @@ class Fit:
         """Weights of the rows by what they touched, without slips; None for measured points."""
         if self.problem.features:
             return self.problem.touched.weights(self.points())
-        return None if self.n_stations else Groups(self.index).slip_factors(self.points())
+        return None if self.n_stations else self.groups.slip_factors(self.points())
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -372,19 +375,19 @@ class Fit:
         tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(self.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
-            arm = self.nominal_arm.on_trial(**self._fields(x, tool))
-            points[of], own = self.table_jacobian(arm, angles[of])
+            points[of], own = self.table_jacobian(angles[of], x, tool)
             jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
             points -= self.correction[rows]
         return points, jac
 
-    def table_jacobian(self, arm, angles):
-        """Points (n, 3) that an arm shows, mm, and their derivatives (n, 3, n_table + 3).
+    def table_jacobian(self, angles, x, tool=0):
+        """Points (n, 3) that the arm shows, mm, and their derivatives (n, 3, n_table + 3).
 
-        By the table, the scales of what slides, and the probe.
+        By the table, the scales of what slides, and the probe of a tool.
         """
-        points, jac = arm.parameter_jacobian(angles)
+        arm = self.nominal_arm
+        points, jac = arm.parameter_jacobian(angles, **self._fields(x, tool))
         if slides := self.slides:
             n = len(arm.a)
             along = jac[:, :, 2 * n : 3 * n][:, :, slides]
@@ -426,15 +429,19 @@ class Fit:
                 explained = explained + self.summed(part, columns)
             moves = whitened.unit @ explained[:, :, :-1]
             return rows.forms, moves, whitened.unit, rows, explained, whitened
+        means = self._means(self.free_columns(x, mask), weights)
+        return means[:, :, -1], means[:, :, :-1], means
+
+    def _means(self, blocks, weights):
+        """Weighted means (n_points, 3, k) of the rows of each position, of blocks (m, 3, k)."""
         # Sums of differences from the first row, so that a large mean costs no digits.
-        total = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None]
+        total = np.maximum(np.bincount(self.index, weights), 1e-300)[:, None, None]
         first: Any = None
         sums: Any = 0.0
-        for part, columns in self.free_columns(x, mask):
+        for part, columns in blocks:
             first = columns[0] if first is None else first
             sums = sums + self.summed(part, weights[part, None, None] * (columns - first))
-        means = sums / total + first
-        return means[:, :, -1], means[:, :, :-1], means
+        return sums / total + first
 
     def summed(self, part, values):
         """Sums over the rows of each position in a block, of values (m, ...)."""
@@ -544,11 +551,12 @@ class Fit:
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
         points, problem = self.points(), self.problem
+        weights = np.ones(len(points)) if weights is None else weights
         if problem.features:
-            weights = np.ones(len(points)) if weights is None else weights
             return problem.touched.linearised(points, weights).residual
         if not self.n_stations:
-            return Groups(problem.index).centred(points, weights)
+            blocks = ((part, points[part, :, None]) for part in self.blocks)
+            return points - self._means(blocks, weights)[self.index, :, 0]
         for s in range(self.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
@@ -614,6 +622,44 @@ class Fit:
         covariance = inverse_normal(root[:, :k])
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
         return -axes @ found, sd, covariance @ root[:k, :k].T @ root[:k, k:-1], every
+
+    def scaled_by_misfit(self):
+        """By which parts what the table does not explain enlarges distances between the points.
+
+        Of each of w of one standard deviation, with what the parameters do against it, (n_w,).
+        """
+        _, sd, moved, every = self.misfit(self.mask)
+        points, n_table = self.points(), np.count_nonzero(self.is_free)
+        away = points - points.mean(axis=0)
+        slopes: Any = sum(
+            np.einsum("nc,ncp->p", away[part], columns[:, :, :-1])
+            for part, columns in self.free_columns(self.x, every)
+        )
+        least = len(away) * (_NEAR_SHARE * self.nominal_arm.reach_mm) ** 2
+        slopes /= max(np.square(away).sum(), least)
+        return sd * (slopes[n_table:] - slopes[:n_table] @ moved[:n_table])
+
+    def covariance(self):
+        """Posterior covariance of the free parameters; infinite where nothing is known.
+
+        What the table does not explain is much the same in all poses of one position. A position at
+        the end of known lengths is therefore no better known than one of its points.
+        """
+        mask, lengths = self.mask, self.problem.lengths
+        covariance = inverse_normal(triangle(self.rows(self.x, mask))[:, :-1])
+        if lengths and not self.problem.features:
+            centres, *_ = at = self.touched(self.x, mask)
+            every = np.arange(len(lengths))
+            one, other = np.array([entry[:2] for entry in lengths]).T
+            gap = centres[one] - centres[other]
+            along = gap / np.maximum(np.linalg.norm(gap, axis=1), 1e-12)[:, None]
+            ends = np.zeros((len(lengths), *centres.shape))
+            ends[every, one], ends[every, other] = along, -along
+            ends *= (np.sqrt(self.length_weights) * self.sigma / self.stated_sd)[:, None, None]
+            finite = np.where(np.isfinite(covariance), covariance, 0.0)
+            spread = finite @ self.length_rows(at)[:, :-1].T @ ends.reshape(len(lengths), -1)
+            covariance = covariance + spread @ spread.T
+        return covariance
 
     def _take_best_table(self, mask):
         """Of touches, go on to the table that serves best at their poses.

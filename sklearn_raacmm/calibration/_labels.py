@@ -96,7 +96,7 @@ def label_findings(fit, result, numbers, scatter) -> Iterator[Finding]:
         sigma = result.outlier_limit_mm / _LIMIT_SDS
         yield from _wrong_labels(fit, right, labels, numbers, far, sigma)
         yield from _no_readings(fit.angles, far, numbers)
-        centres = Groups(fit.index).means(fit.points(), fit.weights)
+        centres = fit.groups.means(fit.points(), fit.weights)
         yield from _same_places(centres, labels, fit.sigma)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.calibration._result import CalibrationResult
-from sklearn_raacmm.calibration._worth import covariance_of
 from sklearn_raacmm.measurements import UNITS, Explanation, Measurements
 from sklearn_raacmm.utils import Finding, floats, listed
 
@@ -43,7 +42,7 @@ def wrong_lengths(fit, result, bare):
         yield Finding("sd-of-lengths", text, "Look at its standard deviation in the certificate.")
     scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
     change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
-    covariance = covariance_of(bare)
+    covariance = bare.covariance()
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +10,6 @@ from sklearn_raacmm.calibration._fit import (
     DOUBTED,
     UNKNOWN_PLACE_MM,
     in_brackets,
-    inverse_normal,
     outlier_limit,
     triangle,
 )
@@ -23,8 +20,6 @@ _IDENTIFIED = 0.5
 # What counts as knowing nothing of a base, a reach and a turn of one radian; its coordinates.
 _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
-# Places that are all within this part of the reach show nothing of the scale.
-_NEAR_SHARE = 0.1
 # Singular values below this part of the largest are rounding.
 _RANK = 1e-9
 # Terms of a combination that move the probe by less than this part of its largest are not written.
@@ -101,7 +96,7 @@ def _identified(fit, names):
     larger: float | np.ndarray = 0.0
     if mask.any():
         root = triangle(fit.rows(fit.x, mask, with_prior=False))[:, :-1]
-        covariance, larger = covariance_of(fit), _scaled_by_misfit(fit)
+        covariance, larger = fit.covariance(), fit.scaled_by_misfit()
     seen = _observability(root, fit, free_names, wide[mask], unit[mask])
     sd = np.zeros(len(mask))
     sd[mask] = np.sqrt(np.diag(covariance))
@@ -121,45 +116,6 @@ def _identified(fit, names):
         "scale_sd": scale_sd,
         "scale_sd_corrected": corrected,
     }
-
-
-def covariance_of(fit):
-    """Posterior covariance of the free parameters; infinite where nothing is known.
-
-    What the table does not explain is much the same in all poses of one position. A position at the
-    end of known lengths is therefore no better known than one of its points.
-    """
-    mask, lengths = fit.mask, fit.problem.lengths
-    covariance = inverse_normal(triangle(fit.rows(fit.x, mask))[:, :-1])
-    if lengths and not fit.problem.features:
-        centres, *_ = at = fit.touched(fit.x, mask)
-        every, (one, other) = np.arange(len(lengths)), np.array([entry[:2] for entry in lengths]).T
-        gap = centres[one] - centres[other]
-        along = gap / np.maximum(np.linalg.norm(gap, axis=1), 1e-12)[:, None]
-        ends = np.zeros((len(lengths), *centres.shape))
-        ends[every, one], ends[every, other] = along, -along
-        ends *= (np.sqrt(fit.length_weights) * fit.sigma / fit.stated_sd)[:, None, None]
-        finite = np.where(np.isfinite(covariance), covariance, 0.0)
-        spread = finite @ fit.length_rows(at)[:, :-1].T @ ends.reshape(len(lengths), -1)
-        covariance = covariance + spread @ spread.T
-    return covariance
-
-
-def _scaled_by_misfit(fit):
-    """By which parts what the table does not explain enlarges distances between the points.
-
-    Of each of w of one standard deviation, with what the parameters do against it, (n_w,).
-    """
-    _, sd, moved, every = fit.misfit(fit.mask)
-    points, n_table = fit.points(), np.count_nonzero(fit.is_free)
-    away = points - points.mean(axis=0)
-    slopes: Any = sum(
-        np.einsum("nc,ncp->p", away[part], columns[:, :, :-1])
-        for part, columns in fit.free_columns(fit.x, every)
-    )
-    least = len(away) * (_NEAR_SHARE * fit.nominal_arm.reach_mm) ** 2
-    slopes /= max(np.square(away).sum(), least)
-    return sd * (slopes[n_table:] - slopes[:n_table] @ moved[:n_table])
 
 
 def _observability(root, fit, names, prior_sd, unit):

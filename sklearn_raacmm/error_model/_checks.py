@@ -265,16 +265,15 @@ def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     """Rows of X as a fitted `LinearModel` takes them: angles in rad, then the extra columns."""
     if "linear_model_" not in vars(model):
         check_is_fitted(model)  # which takes a tenth of the prediction of one row
-    linear = model.linear_model_
-    if model.arm is not None and model.arm != linear.arm:
+    arm, terms = model.linear_model_.layout.arm, model.linear_model_.layout.terms
+    if model.arm is not None and model.arm != arm:
         raise ValueError(
-            f"arm is {model.arm!r}, but the model was fitted with {linear.arm!r}: a fitted model "
+            f"arm is {model.arm!r}, but the model was fitted with {arm!r}: a fitted model "
             "is moved to another probe by with_arm, and to another table by a new fit."
         )
     X = check_features(model, X, dtype=np.float64, reset=False)
-    n_joints = linear.arm.n_joints
-    check_values(linear.terms.extra, X[:, n_joints:])
-    return in_rad(X, linear.arm, model.angle_unit)
+    check_values(terms.extra, X[:, arm.n_joints :])
+    return in_rad(X, arm, model.angle_unit)
 
 
 def in_rad(X, arm, angle_unit):

@@ -362,7 +362,8 @@ class FactoredColumns:
     The waves of a joint share the vector by which a turn about its axis moves the probe. Products
     with the columns are therefore taken with the waves first: one number for each pose, not three.
     The waves (n, n_waves) come in runs, of which `spans` are the first and last columns and
-    `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them.
+    `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them. `points`
+    (n, 3) are those of the probe, mm, and `phases` (n, n_joints) those of the joints.
     """
 
     def __init__(
@@ -371,11 +372,15 @@ class FactoredColumns:
         vectors: np.ndarray,
         waves: np.ndarray,
         rest: np.ndarray,
+        points: np.ndarray,
+        phases: np.ndarray,
     ) -> None:
         self.spans: list[tuple[int, int]] = spans
         self.vectors: np.ndarray = vectors
         self.waves: np.ndarray = waves
         self.rest: np.ndarray = rest
+        self.points: np.ndarray = points
+        self.phases: np.ndarray = phases
 
     def dot(self, coef: np.ndarray) -> np.ndarray:
         """``columns @ coef``, (n, 3)."""
@@ -520,12 +525,12 @@ class Columns:
     def _plan(self):
         return _Plan(self)
 
-    @property
+    @cached_property
     def spans(self) -> list[Any]:
         """First and last column of each run of waves, those of a joint."""
         return self._plan.spans
 
-    @property
+    @cached_property
     def runs(self) -> list[Any]:
         """The spans that `factored` leaves as factors: none where all are short."""
         return self._plan.runs
@@ -543,7 +548,7 @@ class Columns:
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), self.arm.joint_axes
+        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), self._plan.joint_axes
         for part in chunks(len(rows), _CHUNK):
             own = None if probes is None else probes[part]
             levers[part] = self.arm.axis_vectors(angles[part], own)[0][:, :, axes]
@@ -558,17 +563,44 @@ class Columns:
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
+        return self.points_and_columns(rows)[1]
+
+    def points_and_columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Probe points (n, 3) of rows, mm, and the columns there, (n, 3, n_columns)."""
         out = np.empty((len(rows), 3, self.n_waves + len(self.others)))
         found = self.factored(rows, out[:, :, self._plan.rest :])
         for i, (start, end) in enumerate(found.spans):
             vector, waves = found.vectors[:, :, i, None], found.waves[:, None, start:end]
             np.multiply(vector, waves, out=out[:, :, start:end])
-        return out
+        return found.points, out
 
     def dot(self, rows: np.ndarray, coef: np.ndarray) -> np.ndarray:
         """``columns @ coef`` at rows, (n, 3), a few of them at a time."""
-        parts = chunks(len(rows), _POSES)
-        return np.concatenate([self.factored(rows[part]).dot(coef) for part in parts])
+        return self.points_and_shifts(rows, coef)[:, :, 1]
+
+    def points_and_shifts(self, rows: np.ndarray, coef: np.ndarray) -> np.ndarray:
+        """Probe points of rows, mm, and ``columns @ coef`` there, side by side, (n, 3, 2)."""
+        both = np.empty((len(rows), 3, 2))
+        for part in chunks(len(rows), _POSES):
+            found = self.factored(rows[part])
+            both[part, :, 0], both[part, :, 1] = found.points, found.dot(coef)
+        return both
+
+    @cached_property
+    def _with_turns(self):
+        """The others behind a cosine of order 0, which is the turn of a joint itself, of each."""
+        joints = np.arange(self.arm.n_joints)
+        return self.with_harmonics(np.column_stack([joints, np.zeros_like(joints)]))
+
+    def parts(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What the columns at rows are made of.
+
+        What waves of each joint share, (n, 3, n_joints); the others, (n, 3, m); the phases of the
+        joints, (n, n_joints); and of each harmonic its wave as a complex number, (n, n_pairs).
+        """
+        found, n = self.alone._with_turns.factored(rows), 2 * self.arm.n_joints
+        turns, others = found.rest[:, :, :n:2], found.rest[:, :, n:]
+        return turns, others, found.phases, self.waves(found.phases).view(complex)
 
     def waves(self, phases: np.ndarray) -> np.ndarray:
         """Cosine and sine of each harmonic, (n, n_waves), at phases (n, n_joints) of the joints.
@@ -597,8 +629,7 @@ class Columns:
         """Columns at rows: long runs of waves stay factors, the others may go into `out`."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
-        vectors, places = self.arm.axis_vectors(angles, probes)
-        wave_phase = self.arm.phases(angles)
+        vectors, places, wave_phase = self.arm.axis_vectors(angles, probes)
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):
             up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
@@ -620,11 +651,11 @@ class Columns:
             factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
             factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
         rest = np.multiply(vectors.take(plan.which, axis=2), factor[:, None], out=out)
-        if not plan.runs:
-            none = np.empty((len(rows), 0))
-            return FactoredColumns([], none, none, rest)
-        along = vectors.take(plan.run_which, axis=2) * plan.run_unit
-        return FactoredColumns(plan.runs, along, self.waves(wave_phase), rest)
+        along = waves = np.empty((len(rows), 0))
+        if plan.runs:
+            along = vectors.take(plan.run_which, axis=2) * plan.run_unit
+            waves = self.waves(wave_phase)
+        return FactoredColumns(plan.runs, along, waves, rest, places[:, :, -1], wave_phase)
 
 
 def torque_axis(table: np.ndarray) -> np.ndarray:
@@ -653,6 +684,7 @@ class _Plan:
         cosines = rest[rest["order"] > 0]
         self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
         self.which, self.unit = which[self.rest :], rest["unit"]
+        self.joint_axes = columns.arm.joint_axes
         self.waves = _places(rest["order"])
         self.loads = _places(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors

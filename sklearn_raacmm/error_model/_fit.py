@@ -507,14 +507,13 @@ def model_of(rows, columns, state):
     offered, half = columns.terms.harmonics, state.half[order]
     families = np.unique(columns.family).tolist()
     families += [HARMONICS] * bool(len(offered)) + [SMOOTH] * state.with_field
-    noise = rows.noise.scaled(state.noise_variance)
     model = LinearModel(
         layout=columns.with_harmonics(offered[state.pairs]),
         coef=state.coef[order],
         half=half,
-        noise_of_joints=noise.of_joints,
-        noise_of_rows=noise.of_rows,
-        lever_mm=noise.lever_mm,
+        noise_of_joints=state.noise_variance * rows.noise.of_joints,
+        noise_of_rows=state.noise_variance * rows.noise.of_rows,
+        lever_mm=rows.noise.lever_mm,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
         offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),

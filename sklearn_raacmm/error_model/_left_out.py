@@ -21,9 +21,9 @@ from scipy.stats import norm, t
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of
-from sklearn_raacmm.error_model._sums import of_blocks, parts_of_positions
+from sklearn_raacmm.error_model._sums import of_blocks
 from sklearn_raacmm.inference import Problem, combined
-from sklearn_raacmm.utils import Finding, Groups, chunks, stage
+from sklearn_raacmm.utils import Finding, Groups, stage
 
 # Blocks left out in turn; and parts of all positions, each between others, in their order along x.
 N_BLOCKS, N_PARTS = 10, 5
@@ -50,8 +50,8 @@ _PER_POSITION = 3
 # learnt from 30, 60 and 100 poses it leaves 0.98, 0.95 and 0.98 of what Wiener's leaves, of
 # simulated robots 0.96, 0.99 and 0.99.
 _MOST, _OF_WIDENED = 1.0, 0.3
-# Rows left out of a block that are predicted together, and where positions have offsets, so that
-# all columns of whole positions are held.
+# Rows left out that are predicted together, and where positions have offsets, so that all columns
+# of whole positions are held.
 _TOGETHER, _OF_POSITIONS = 2**15, 2**12
 # Part of what a table does most to touches. What does less is the scale, whose column are the
 # residuals themselves.
@@ -190,8 +190,10 @@ def judge(
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     n = int(places.max()) + 1
 
+    by_place = Groups(places)
+
     def deviations(left):
-        return Groups(places).means(np.linalg.norm(left, axis=1)[kept], weights[kept])
+        return by_place.means(np.linalg.norm(left, axis=1)[kept], weights[kept])
 
     def gains_of(share):
         gains = without - deviations(y - share * used)
@@ -306,43 +308,57 @@ def leave_out(fitted, positions, between=False):
     pairs = np.flatnonzero(low)
     columns, structures, lines = fitted.of_pairs(state.lines, pairs)
     start = state._replace(noise_variance=model.noise_variance, lines=lines)
-    used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
-    parts = {
-        block: used.at((blocks == block) & kept).sums(columns)
-        for block in np.unique(blocks[kept]).tolist()
-    }
-    whole = combined(list(parts.values()), [1.0] * len(parts))
-    n = len(rows.y)
-    found = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
+    used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=()).at(kept)
+    sums_of_blocks = used.sums_of_parts(columns, blocks[kept])
+    parts = dict(zip(np.unique(blocks[kept]).tolist(), sums_of_blocks, strict=True))
+    whole, models = combined(sums_of_blocks, [1.0] * len(parts)), {}
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
         best = Problem(sums, structures).search_at(start)
-        rest = model_of(used.at((blocks != block) & kept), columns, best)
-        of = np.flatnonzero(blocks == block)
-        together = chunks(len(of), _TOGETHER)
-        if rows.codes is not None:
-            of = of[np.argsort(rows.codes[of], kind="stable")]
-            together = parts_of_positions(rows.codes[of], _OF_POSITIONS)
-        given = [(rest, rows.at(of[part])) for part in together]
-        for part, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
-            for values, own in zip(found, mine, strict=True):
-                values[of[part]] = own
+        models[block] = model_of(used.at(blocks[kept] != block), columns, best)
+    n = len(rows.y)
+    order = np.arange(n) if rows.codes is None else np.argsort(rows.codes, kind="stable")
+    size = _TOGETHER if rows.codes is None else _OF_POSITIONS
+    together = [order[part] for part in rows.at(order).chunks(size)]
+    given = [(models, blocks[of], rows.at(of)) for of in together]
+    found = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
+    for of, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
+        for values, own in zip(found, mine, strict=True):
+            values[of] = own
     return found
 
 
-def _at_rows(model, rows):
-    """What `leave_out` returns, at some rows by a model that has not seen them."""
-    # What makes predictions fast costs as much as those of a row for each coefficient.
-    if rows.codes is None and len(rows.X) > len(model.coef):
-        mean, std, doubt = model.predict_with_doubt(rows.X, return_std=True)
-        return mean, doubt, std
-    columns = model.columns(rows.X)
-    doubts = dots = np.tensordot(columns, model.gauge_free_half, 1)
+def _at_rows(models, blocks, rows):
+    """What `leave_out` returns, at some rows by the models that have not seen their blocks."""
+    n = len(rows.X)
+    correction, doubt, std = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
+    own = [(models[block], blocks == block) for block in np.unique(blocks).tolist()]
+    pairs = [model.layout.terms.harmonics for model, _ in own]
+    every = np.unique(np.concatenate(pairs), axis=0)
+    columns: Any = None
+    left: Any = None
     if rows.codes is not None:
-        dots = rows.along(np.tensordot(rows.whitening().centred(columns), model.half, 1))
-    doubt, std = np.linalg.norm(doubts, axis=(1, 2)), np.linalg.norm(dots, axis=2)
-    return columns @ model.coef, doubt, std
+        # Columns of all models at once: what positions explain of them is taken out once.
+        columns = own[0][0].layout.with_harmonics(every).at(rows.X)
+        left = rows.along(rows.whitening().centred(columns))
+    for (model, of), chosen in zip(own, pairs, strict=True):
+        # What makes predictions fast costs as much as those of a row for each coefficient.
+        if columns is None and np.count_nonzero(of) > len(model.coef):
+            correction[of], std[of], doubt[of] = model.predict_with_doubt(rows.X[of], True)
+            continue
+        if columns is None:
+            here = model.columns(rows.X[of])
+            doubts = dots = np.tensordot(here, model.gauge_free_half, 1)
+        else:
+            chosen = (every[:, None] == chosen).all(axis=2).any(axis=1)
+            chosen = np.r_[np.repeat(chosen, 2), np.ones(len(model.layout.others), dtype=bool)]
+            here = columns[of][:, :, chosen]
+            doubts = np.tensordot(here, model.gauge_free_half, 1)
+            dots = np.tensordot(left[of][:, :, chosen], model.half, 1)
+        correction[of] = here @ model.coef
+        doubt[of], std[of] = np.linalg.norm(doubts, axis=(1, 2)), np.linalg.norm(dots, axis=2)
+    return correction, doubt, std
 
 
 def _blocks(points, positions, weights, between=False):

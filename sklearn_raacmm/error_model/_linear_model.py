@@ -364,9 +364,8 @@ class LinearModel:
         """
         coef = self.coef
         if keep_scale:
-            found = self.layout.points(X), self.layout.dot(X, coef)
-            points, moved = (Groups(codes).means(values, weights) for values in found)
-            coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
+            means = Groups(codes).means(self.layout.points_and_shifts(X, coef), weights)
+            coef = coef - self.layout.scale * self._scale_of(means[:, :, 0], means[:, :, 1:])
         return replace(self, coef=coef).with_seen()
 
     def with_seen(self) -> Self:
@@ -410,8 +409,7 @@ class LinearModel:
 
     def _in_ranges(self):
         """Points and columns, (n, 3) and (n, 3, n_columns), of poses anywhere in `ranges`."""
-        tried = _poses_in(self.arm, self.ranges)
-        return self.layout.points(tried), self.layout.at(tried)
+        return self.layout.points_and_columns(_poses_in(self.arm, self.ranges))
 
     def _scale_of(self, points, columns):
         """By how much a unit of each column makes distances between points larger, (n_columns,)."""
@@ -565,9 +563,8 @@ def ranges_of(arm, X):
 def _poses_in(arm, ranges):
     """Rows each number of which is anywhere in its range."""
     n, rng = arm.n_joints, np.random.default_rng(0)
-    turns = arm.own_angles(np.eye(n))
     tried = rng.uniform(ranges[0], ranges[1], (_TRIED, ranges.shape[1]))
-    return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
+    return np.column_stack([np.linalg.solve(arm.own_by_given, tried[:, :n].T).T, tried[:, n:]])
 
 
 def _as_now(values, layout):

@@ -34,7 +34,7 @@ References
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, reduce
-from itertools import starmap
+from itertools import groupby, pairwise, starmap
 from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple, Self
 
@@ -45,8 +45,8 @@ from scipy.sparse import csr_array
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.measurements import Form, Whitening
-from sklearn_raacmm.utils import Groups, chunks, one_blas_thread, stage
+from sklearn_raacmm.measurements import Form
+from sklearn_raacmm.utils import Groups, Whitening, chunks, one_blas_thread, stage
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
 # summed up together: the sums of blocks are added in their order, wherever they were made.
@@ -208,6 +208,27 @@ class Rows(NamedTuple):
         }
         return self._replace(**of_rows, codes=codes, lengths=tuple(lengths), forms=forms)
 
+    def chunks(self, size, part_of=None):
+        """Slices of at most so many rows, none of which goes on into the next part of the rows.
+
+        Of whole positions where these have offsets, so that a chunk knows what it takes out: rows
+        are sorted by position then. `part_of` (n,) are numbers of parts in their order; None: one.
+        """
+        n, found, start = len(self.X), [], 0
+        codes = np.arange(n) if self.codes is None else self.codes
+        ends, borders = (
+            np.zeros(1, int) + n if of is None else np.flatnonzero(np.diff(of, append=-1)) + 1
+            for of in (codes, part_of)
+        )
+        limit = chunks(n, size)[0].stop
+        while start < n:
+            least, border = (of[np.searchsorted(of, start, "right")] for of in (ends, borders))
+            within = np.searchsorted(ends, min(start + limit, border), "right")
+            stop = max(least, ends[max(within - 1, 0)])
+            found.append(slice(start, stop))
+            start = stop
+        return found
+
     def weighted(self, factor):
         """The rows with their weights times a factor, without those of no weight."""
         rows = self._replace(weights=self.weights * factor)
@@ -241,38 +262,57 @@ class Rows(NamedTuple):
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
-        sums = candidate_sums(self, columns)
+        (sums,) = self.sums_of_parts(columns, np.zeros(len(self.X), dtype=int))
+        return sums._replace(extra=length_equations(self, columns)) if self.lengths else sums
+
+    def sums_of_parts(self, columns, part_of):
+        """The same over each part of the rows, without known lengths, in the order of the parts.
+
+        `part_of` (n,) are their numbers; a position is in one of them.
+        """
+        sums = candidate_sums(self, columns, part_of)
         if self.codes is None or self.known:
             return sums
-        sums = without_motions(sums, columns)
-        return sums._replace(extra=length_equations(self, columns)) if self.lengths else sums
+        return [without_motions(one, columns) for one in sums]
 
 
 @stage("sums over the poses")
-def candidate_sums(rows, columns):
-    """Sum up what the choice of harmonics needs, as `Sums`.
+def candidate_sums(rows, columns, part_of):
+    """Sum up what the choice of harmonics needs, as `Sums` of each part of the rows.
 
     The harmonics of the columns, sorted by joint, are the candidates; the others are always in.
-    Rows are whitened, and offsets of positions are taken out of them: see `Whitening`.
+    Rows are whitened, and offsets of positions are taken out of them: see `Whitening`. `part_of`
+    (n,) is as `Rows.sums_of_parts` has it.
     """
-    if rows.codes is None:
-        parts = chunks(len(rows.X), _CHUNK)
-    else:
-        rows = rows.at(np.argsort(rows.codes, kind="stable"))
-        parts = parts_of_positions(rows.codes, _CHUNK)
-    whitened, codes = rows.whitening(), np.asarray(rows.codes)
-    given, n_held = [], _HELD // -(-len(parts) // _PARTS)
-    for i in range(0, len(parts), _PARTS):
-        own = parts[i : i + _PARTS]
-        first, of = own[0].start, slice(own[0].start, own[-1].stop)
-        moved = () if whitened.basis is None else (whitened.basis[of], codes[of])
-        own = [slice(part.start - first, part.stop - first) for part in own]
-        given.append((own, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
+    order = np.lexsort([part_of] if rows.codes is None else [rows.codes, part_of])
+    rows, part_of = rows.at(order), part_of[order]
+    whitened, given, ends = rows.whitening(), [], [0]
+    slices = rows.chunks(_CHUNK, part_of)
+    groups = [None] * len(slices) if rows.codes is None else whitened.groups.of_slices(slices)
+    for _, own in groupby(zip(slices, groups, strict=True), lambda one: part_of[one[0].start]):
+        own = list(own)
+        n_held = _HELD // -(-len(own) // _PARTS)
+        for i in range(0, len(own), _PARTS):
+            some, of_some = zip(*own[i : i + _PARTS], strict=True)
+            of = slice(some[0].start, some[-1].stop)
+            some = [slice(one.start - of.start, one.stop - of.start) for one in some]
+            moved = () if rows.codes is None else (whitened.basis[of], of_some)
+            given.append((some, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
+        ends.append(len(given))
     blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
-    gram, cross, own = sums_of_blocks(attrgetter("sums"), blocks, rows.by_dask)
+    shown = np.bincount(np.unique(part_of, return_inverse=True)[1], whitened.observations)
+    return [
+        _sums_of(blocks[first:end], rows.by_dask, max(n, 0.0))
+        for n, (first, end) in zip(shown.tolist(), pairwise(ends), strict=True)
+    ]
+
+
+def _sums_of(blocks, by_dask, n_observations):
+    """`Sums` of some blocks."""
+    gram, cross, own = sums_of_blocks(attrgetter("sums"), blocks, by_dask)
 
     def rows_of(pairs):
-        return sums_of_blocks(methodcaller("gram_rows", pairs), blocks, rows.by_dask)[0]
+        return sums_of_blocks(methodcaller("gram_rows", pairs), blocks, by_dask)[0]
 
     return Sums(
         gram[:-1, :-1],
@@ -281,7 +321,7 @@ def candidate_sums(rows, columns):
         own,
         cross[-1],
         float(gram[-1, -1]),
-        whitened.n_observations,
+        n_observations,
         GramRows(rows_of, cross.shape[1]),
     )
 
@@ -405,17 +445,6 @@ def known_lengths(
     return measured, slopes
 
 
-def parts_of_positions(codes: np.ndarray, size: int) -> list[slice]:
-    """Chunks of whole positions of sorted rows, so that a chunk knows what it takes out."""
-    ends, parts, start = np.flatnonzero(np.diff(codes, append=-1)) + 1, [], 0
-    limit = chunks(len(codes), size)[0].stop
-    while start < len(codes):
-        stop = max(ends[ends > start][0], ends[ends <= start + limit].max(initial=0))
-        parts.append(slice(start, stop))
-        start = stop
-    return parts
-
-
 def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: bool = False) -> Any:
     """Results of a function of the arguments of each block, in the order of the blocks.
 
@@ -451,39 +480,37 @@ def _with_one_thread(function, *given):
 class _Block:
     """Rows that are summed up together, in `parts` of whole positions; waves of some are held.
 
+    `groups` are the positions of the rows of each part, where these have offsets.
+
     `sums` are those of the columns that are always in and of y, of their products with the
     harmonics, and of the harmonics' own blocks.
     """
 
-    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes: Any = None):
+    def __init__(self, parts, n_held, columns, X, y, root, basis=None, groups=()):
         n_joints, offered = columns.arm.n_joints, columns.terms.harmonics
-        self.parts, self.n_held, self.columns, self.basis = parts, n_held, columns, basis
-        self.angles = columns.arm.phases(X[:, :n_joints])
+        self.parts, self.n_held, self.columns = parts, n_held, columns
+        self.basis, self.groups = basis, groups
         of_joints = [slice(start // 2, end // 2) for start, end in columns.spans]
         # Joint, orders, and which of those offered they are.
         self.spans: Any = [(offered[of.start, 0], offered[of, 1], of) for of in of_joints]
         many = len(X) >= _MANY_POSES
         self.is_on_grid = [many and len(orders) >= _MANY_ORDERS for _, orders, _ in self.spans]
         self.held: dict[int, list] = {}
-        self.codes = [] if basis is None else [codes[part] - codes[part][0] for part in parts]
-        every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
-        with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
+        self.angles = np.empty((len(X), n_joints))
         m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
         gram, total = np.zeros((m, m)), np.empty((0, 0))
         found: Any = [0.0] * len(self.spans)
         for k, part in enumerate(parts):
-            always = np.concatenate([with_turns.at(X[part]), y[part, :, None]], axis=2)
-            always = root[part] @ always
-            self.turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
-            left = always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
+            turns, others, self.angles[part], every = columns.parts(X[part])
+            self.turns[part] = root[part] @ turns
+            left = always = root[part] @ np.concatenate([others, y[part, :, None]], axis=2)
             if basis is not None:
-                total = Groups(self.codes[k]).matrix()
+                total = self.groups[k].total
                 explained = total @ (basis[part].swapaxes(1, 2) @ always).reshape(len(left), -1)
-                explained = explained.reshape(len(explained), -1, m)[self.codes[k]]
+                explained = explained.reshape(len(explained), -1, m)[self.groups[k].codes]
                 left = always - basis[part] @ explained  # one side of a product is enough
             gram += always.reshape(-1, m).T @ left.reshape(-1, m)
-            every = columns.waves(self.angles[part]).view(complex)
             for i, (own_waves, (joint, _, pairs)) in enumerate(
                 zip(self._of_part(k, every), self.spans, strict=True)
             ):
@@ -531,8 +558,9 @@ class _Block:
             products, moved, taken = turn.swapaxes(1, 2) @ turn, turn, turn
             if self.basis is not None:
                 moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                taken = Groups(self.codes[k]).sums(moved[:, :, twice] * wave[:, None])
-                taken = taken[self.codes[k]]
+                taken = moved[:, :, twice] * wave[:, None]
+                sums = self.groups[k].total @ taken.reshape(len(taken), -1)
+                taken = sums[self.groups[k].codes].reshape(taken.shape)
             for i, (own, (joint, *_)) in enumerate(zip(self._of_part(k), self.spans, strict=True)):
                 share = products[:, joint].take(twice, axis=1) * wave
                 if self.basis is not None:

@@ -108,7 +108,7 @@ class Measurements:
             return np.ones(len(self.angles), dtype=bool)
         return self.touched.scatter[self.index]
 
-    @property
+    @cached_property
     def n_coordinates(self) -> int:
         """Coordinates that rows show, less those that the unknowns of what was touched take."""
         taken = 0

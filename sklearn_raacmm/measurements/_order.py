@@ -1,4 +1,4 @@
-"""What angles and their order say: where joints came from, rounded angles, drift of a run."""
+"""What the order of the rows says: where joints came from, and the drift of a run."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -22,15 +22,6 @@ _TREES, _FOLDS = 100, 5
 # run of 300. Rows that are looked at, for speed; visits that rows without labels are divided into,
 # and the fewest, with 720 orders.
 _ORDERS, _MOST_ROWS, _VISITS, _LEAST_VISITS = 299, 1500, 30, 6
-
-# Steps that angles are rounded to, deg, and how far a multiple may be off, as a part of it.
-_STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
-# Different angles of a joint that may lie on a grid by intention, and the error of rounding at the
-# stretched arm that is worth a word, mm.
-_LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
-# Share of all weights beyond which one pose decides what the others are weighed against: the median
-# of the distances is then that of a third of the others, or of fewer. Poses that this is asked of.
-_MOST_OF_ONE, _LEAST_POSES = 0.25, 10
 
 
 def directions_of(
@@ -157,37 +148,3 @@ def drift_of(
     size = float(np.sqrt(np.square(Groups(codes).centred(effect @ coef)).sum(axis=1).mean()))
     text = f"This run drifted by {1000 * size:.0f} um from its first row to its last."
     yield Finding("drift-of-run", text, weight="note", size_mm=size)
-
-
-def angle_faults(
-    angles: np.ndarray, reach: float, weights: np.ndarray | None = None
-) -> Iterator[Finding]:
-    """What is wrong with the angles (n, n_joints) of a fit, in rad, whatever was measured there.
-
-    One pose has most of the weights (n,), or all angles are multiples of a coarse step; `reach` is
-    the arm's, mm.
-    """
-    if weights is not None:
-        numbers = np.flatnonzero(weights > 0)
-        angles, weights = angles[numbers], weights[numbers]
-        _, first, codes = np.unique(angles, axis=0, return_index=True, return_inverse=True)
-        worth, total = np.bincount(codes.ravel(), weights), weights.sum()
-        most = int(worth.argmax())
-        if len(first) >= _LEAST_POSES and worth[most] > _MOST_OF_ONE * total:
-            row = Finding.row_numbers(numbers[first[[most]]])
-            text = (
-                f"The pose of row {row[0]} has {worth[most]:.4g} of all weights, {total:.4g}: the "
-                f"{len(first) - 1} other poses would be taken for slips."
-            )
-            advice = "Give it the weight of one pose, or leave its copies out."
-            yield Finding("weight-of-one-pose", text, advice, "repair", rows=row)
-    degrees = np.rad2deg(angles)
-    n_different = max(len(set(column)) for column in degrees.T[:, : 10 * _LEAST_DIFFERENT])
-    for step in _STEPS if n_different >= _LEAST_DIFFERENT else ():
-        size = np.deg2rad(step) / np.sqrt(12) * reach
-        parts = degrees / step
-        if np.abs(parts - np.round(parts)).max() < _OFF and size > _LARGE_MM:
-            text = f"All angles are multiples of {step:g} degrees: rounding alone moves the probe"
-            advice = "Take them with all digits that the encoders have."
-            yield Finding("coarse-angles", f"{text} by {size:.2g} mm.", advice, size_mm=size)
-            return

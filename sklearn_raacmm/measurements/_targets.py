@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.measurements._dwells import angle_faults
 from sklearn_raacmm.measurements._explanations import of_own_points
-from sklearn_raacmm.measurements._order import angle_faults
 from sklearn_raacmm.utils import Finding, Groups, align
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the

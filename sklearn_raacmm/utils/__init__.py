@@ -42,6 +42,7 @@ from sklearn_raacmm.utils._findings import (
 from sklearn_raacmm.utils._rows import (
     TUKEY_CUT,
     Groups,
+    Whitening,
     align,
     chunks,
     many_without_weight,

@@ -1,4 +1,4 @@
-"""Rows of data: in chunks, in groups, with robust weights, and one set of points onto another.
+"""Rows of data: in chunks, in groups, whitened, with robust weights, and one set onto another.
 
 Robust scales and weights: rows far off say nothing of the size of the errors, or of a fit.
 
@@ -13,6 +13,7 @@ References
 
 import re
 from collections.abc import Iterable, Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 _SMALL = 2**14
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
+# Share of what is known best of a feature's unknowns that is rounding: a ball touched on one side.
+_UNKNOWN = 1e-12
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 # Standard deviations of a coordinate from which a row has no weight; while none is as far off, all
@@ -70,8 +73,6 @@ class Groups:
     # which they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of
     # them are, 1 for independent residuals against a reference, more where neighbours err alike.
     CENTRED = 0.5
-
-    __slots__ = ("codes", "n_groups")
 
     def __init__(self, codes: Any, n_groups: int | None = None) -> None:
         self.codes: Any = codes
@@ -124,6 +125,11 @@ class Groups:
         old = old[np.argsort(first)]
         return np.argsort(old)[self.codes], old
 
+    def of_slices(self, slices: Iterable[slice]) -> list["Groups"]:
+        """Those of slices of rows, counted from 0; rows of a group follow each other."""
+        starts = np.cumsum(np.diff(self.codes, prepend=self.codes[:1]) != 0)
+        return [Groups(starts[of] - starts[of.start]) for of in slices]
+
     def matrix(self, weights: np.ndarray | None = None) -> Any:
         """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
         n = len(self.codes)
@@ -135,9 +141,15 @@ class Groups:
             return matrix
         return csc_array((weights, self.codes, np.arange(n + 1)), shape=(n_groups, n))
 
+    @cached_property
+    def total(self) -> Any:
+        """The `matrix` of rows without weights, made once."""
+        return self.matrix()
+
     def sums(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
         """Weighted sum of the rows (n, ...) of each group, (n_groups, ...)."""
-        sums = self.matrix(weights) @ values.reshape(len(values), -1)
+        matrix = self.total if weights is None else self.matrix(weights)
+        sums = matrix @ values.reshape(len(values), -1)
         return sums.reshape(len(sums), *values.shape[1:])
 
     def means(self, values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -224,6 +236,86 @@ class Groups:
                 factor[of] = tukey_weights(left, least_scale=scale)
                 centre = np.average(values[of], axis=0, weights=factor[of])
         return factor
+
+
+class Whitening:
+    r"""What whitens rows of three coordinates: their noise is then independent and of one size.
+
+    A row says :math:`y = A w + B u + e` along some directions. The unknowns u of the feature that
+    the row belongs to are of no interest: the constant of a position, the plane that was touched.
+    With W the root of the row (:math:`W'W` is the inverse covariance of e, times the weight of the
+    row), :math:`T = \sum (W B)' W B` over the rows of a feature and :math:`E E' = T^{-1}`, the
+    columns :math:`W B E` are a basis of all that the unknowns explain. What is left of whitened
+    columns beside it takes the unknowns out exactly (Frisch-Waugh theorem). What is known of the
+    unknowns beforehand is added to T, and draws them to 0.
+
+    Rows of some weights (n,), whose noise has the `root` (n, 3, 3) or is I. `unknowns` (n, 3, q)
+    are what one of each unknown of the `feature` (n,) does to a row: None is a shift, of which
+    `known` is the precision beforehand. `rank` says how many numbers a row shows.
+    """
+
+    def __init__(
+        self,
+        weights: np.ndarray,
+        root: np.ndarray | None = None,
+        feature: np.ndarray | None = None,
+        unknowns: np.ndarray | None = None,
+        known: float = 0.0,
+        rank: np.ndarray | float = 3.0,
+    ) -> None:
+        # With the root of the weight, 0 along what a row does not show.
+        self.root: np.ndarray = np.sqrt(weights)[:, None, None] * (
+            np.eye(3) if root is None else root
+        )
+        self.groups: Groups = Groups(feature)  # by the feature of each row; None: no unknowns
+        self.unit: Any = None  # (n_features, q, q) E: unknowns by what makes their precision 1
+        self.moves: Any = None  # (n, 3, q) B E
+        self.basis: Any = None  # (n, 3, q) W B E
+        self.precision: Any = None  # (n_features, q) of the unknowns, along those of E
+        # Numbers that a row shows, less its part of those that the unknowns take.
+        self.observations: np.ndarray = rank * weights
+        if feature is None:
+            return
+        side = self.root if unknowns is None else self.root @ unknowns
+        value, axes = np.linalg.eigh(self.groups.sums(side.swapaxes(1, 2) @ side))
+        shown = value > _UNKNOWN * np.maximum(value[:, -1:], 1e-300)
+        if not known:
+            taken = np.count_nonzero(shown, axis=1) / np.maximum(np.bincount(feature), 1)
+            self.observations = self.observations - taken[feature]
+        self.precision = value = np.where(shown, value, 0.0) + known
+        size = np.where(value > 0, 1 / np.sqrt(np.where(value > 0, value, 1.0)), 0.0)
+        self.unit = axes * size[:, None]
+        of_row = self.unit[feature]
+        self.moves = of_row if unknowns is None else unknowns @ of_row
+        self.basis = side @ of_row
+
+    @property
+    def n_observations(self) -> float:
+        """How many numbers all rows show, less those that the unknowns take."""
+        return max(float(self.observations.sum()), 0.0)
+
+    def explained(self, whitened: np.ndarray) -> np.ndarray:
+        """Sums over each feature of products of the basis with columns, (n_features, q, m)."""
+        return self.groups.sums(self.basis.swapaxes(1, 2) @ whitened)
+
+    def deviations(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, 3, m), whitened, less what unknowns explain of them."""
+        whitened = self.root @ columns
+        if self.basis is None:
+            return whitened
+        return whitened - self.basis @ self.explained(whitened)[self.groups.codes]
+
+    def centred(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, 3) or (n, 3, m) in their own unit, less what unknowns explain of them."""
+        if self.moves is None:
+            return columns
+        flat = columns.reshape(len(columns), 3, -1)
+        found = self.explained(self.root @ flat)[self.groups.codes]
+        return columns - (self.moves @ found).reshape(columns.shape)
+
+    def unknowns(self, columns: np.ndarray) -> np.ndarray:
+        """The unknowns (n_features, q, m) that explain columns (n, 3, m)."""
+        return self.unit @ self.explained(self.root @ columns)
 
 
 def _labels(groups, name):

@@ -52,7 +52,7 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, even, chunk, m
     terms = Terms(offered, True, False, True)
     root = None if even else rng.normal(size=(n, 3, 3))
     rows = Rows(ARM, theta, y, weights, codes, root=root)
-    found = candidate_sums(rows, columns_of(ARM, terms))
+    (found,) = candidate_sums(rows, columns_of(ARM, terms), np.zeros(n, int))
     gram, m = explicit_sums(theta, y, weights, codes, offered, terms, root)
     size = np.sqrt(gram.diagonal())
     size = np.where(size > 1e-9, size, 1.0)
@@ -98,6 +98,46 @@ def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
             assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
         found, wanted = (part.rows([1, 0]) for part in (sums, expected))
         assert_allclose(found, wanted, atol=1e-11 * wanted.max())
+
+
+@pytest.mark.parametrize("with_offsets", [False, True])
+@pytest.mark.parametrize("chunk", [7, 1024])
+def test_sums_of_parts_are_those_of_the_rows_of_each(with_offsets, chunk, monkeypatch):
+    """Of parts whose rows and positions lie between one another."""
+    monkeypatch.setattr(_sums, "_CHUNK", chunk)
+    rng = np.random.default_rng(6)
+    theta, y, codes = draw_angles(ARM, 60), rng.normal(size=(60, 3)), np.arange(60) * 7 % 12
+    parts = 2 * np.array([2, 0, 1])[codes % 3]
+    own = codes if with_offsets else None
+    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 60), own, root=rng.normal(size=(60, 3, 3)))
+    columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, True, True))
+    for part, found in zip([0, 2, 4], rows.sums_of_parts(columns, parts), strict=True):
+        expected = rows.at(parts == part).sums(columns)
+        for one, wanted in zip(found[:7], expected[:7], strict=True):
+            assert_allclose(one, wanted, atol=1e-11 * np.abs(wanted).max())
+        one, wanted = (sums.rows([1, 0]) for sums in (found, expected))
+        assert_allclose(one, wanted, atol=1e-11 * wanted.max())
+
+
+@pytest.mark.parametrize("with_offsets", [False, True])
+@pytest.mark.parametrize("size", [1, 5, 12, 100])
+def test_chunks_hold_whole_positions_of_one_part(with_offsets, size):
+    rng = np.random.default_rng(7)
+    codes, part_of = np.repeat(np.arange(9), rng.integers(1, 9, 9)), None
+    n = len(codes)
+    rows = Rows(
+        ARM, np.zeros((n, 6)), np.zeros((n, 3)), np.ones(n), codes if with_offsets else None
+    )
+    for part_of in (None, codes // 4):
+        slices = rows.chunks(size, part_of)
+        assert [one.start for one in slices] == [0, *(one.stop for one in slices[:-1])]
+        assert slices[-1].stop == n
+        for one in slices:
+            positions = codes[one]
+            if with_offsets:
+                assert not set(positions) & (set(codes[: one.start]) | set(codes[one.stop :]))
+            assert one.stop - one.start <= size or (with_offsets and len(set(positions)) == 1)
+            assert part_of is None or len(set(part_of[one])) == 1
 
 
 @pytest.mark.parametrize("known", [0.0, 0.3, np.inf])

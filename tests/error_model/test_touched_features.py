@@ -34,7 +34,7 @@ def test_sums_are_those_of_explicit_matrices():
     J = test.arm.jacobian(test.data)
     rows = rows._replace(root=noise.roots(J, rows.shown), weights=rng.uniform(0.5, 2, len(J)))
     columns = columns_of(test.arm, Terms(np.array([(1, 1), (4, 3)]), True, False, True))
-    found = candidate_sums(rows, columns)
+    (found,) = candidate_sums(rows, columns, np.zeros(len(rows.X), int))
     A = columns.at(test.data)
     A = np.concatenate([A[:, :, 4:], A[:, :, :4], rows.y[:, :, None]], axis=2)
     C = (noise.of_joints * J) @ J.swapaxes(1, 2) + noise.of_rows * np.eye(3)

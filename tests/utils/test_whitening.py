@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm.measurements import Whitening
+from sklearn_raacmm.utils import Whitening
 
 
 def draw(seed=0, n=40, n_features=5, q=4):
