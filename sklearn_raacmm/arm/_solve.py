@@ -21,6 +21,8 @@ _REACHED_MM = 1e-7
 # Rounds, each with a correction of its own, and steps of the bare arm in each. The first round may
 # come from far away; a step turns no joint further than this, in rad.
 _ROUNDS, _STEPS, _LARGEST_STEP = 20, 30, 0.5
+# A way ends with a round that leaves more of its gap than this share.
+_GAIN = 0.99
 # Least ratio of the singular values of the Jacobian that is divided by: a stretched arm cannot move
 # outwards. Nearer than this, mm, the least falls with the gap, so that singular poses are reached.
 _LEAST_RATIO, _NEAR_MM = 1e-4, 0.1
@@ -148,7 +150,7 @@ class ReachingChain(Chain):
         """
         low, high = self.bounds
         angles, off = np.clip(start, low, high), np.zeros((len(points), 2))
-        open_ = np.arange(len(points))
+        open_, last = np.arange(len(points)), np.full(len(points), np.inf)
         for _ in range(_ROUNDS):
             aim, turned = points[open_], None if orientations is None else orientations[open_]
             if correction is not None:
@@ -159,7 +161,11 @@ class ReachingChain(Chain):
             gap = self._gaps(aim, turned, angles[open_])
             off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)
             off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / self.reach_mm
-            going = np.linalg.norm(gap, axis=1) > _REACHED_MM
+            size = np.linalg.norm(gap, axis=1)
+            left = size > _REACHED_MM
+            going = left & (size < _GAIN * last[open_])
+            angles[open_[left & ~going]] = np.nan  # as near as it comes on this way
+            last[open_] = size
             open_, aim = open_[going], aim[going]
             if not len(open_):
                 break
