@@ -51,7 +51,8 @@ class ReachingChain(Chain):
             In the base frame, mm.
         start : array-like of shape (n, n_joints) or (1, n_joints), default=None
             Poses to begin at: of all the angles that reach a point those near the start are taken,
-            within `limits` where the arm has some. None: zero, then 19 random poses.
+            within `limits` where the arm has some, by whole turns from a start beyond them. None:
+            zero, then 19 random poses.
         orientations : array-like of shape (n, 3, 3), default=None
             Rotation matrix that the last frame is to have in the base frame. None: any.
         angle_unit : {"rad", "deg"}, default="rad"
@@ -88,7 +89,7 @@ class ReachingChain(Chain):
         check_option("angle_unit", angle_unit, ("rad", "deg"))
         points = floats("points", points, 3)
         turns = None if orientations is None else _check_orientations(orientations, len(points))
-        start = None if start is None else self.check_angles(start, angle_unit)
+        start = None if start is None else self._within(self.check_angles(start, angle_unit))
         if start is not None and len(start) not in (1, len(points)):
             raise ValueError(
                 f"start has {len(start)} poses for {len(points)} points: give one, or one each."
@@ -173,6 +174,14 @@ class ReachingChain(Chain):
             angles[open_] = self._bare(aim, turned, angles[open_])
         angles[open_] = np.nan
         return angles, off
+
+    def _within(self, angles):
+        """Angles by whole turns within the limits, where there are such."""
+        low, high = self.bounds
+        up, down = np.ceil((low - angles) / (2 * np.pi)), np.ceil((angles - high) / (2 * np.pi))
+        turns = np.maximum(up, 0.0) - np.maximum(down, 0.0)
+        turned = angles + turns * self.by_type(2 * np.pi, 0.0)
+        return np.where((low <= turned) & (turned <= high), turned, angles)
 
     def _gaps(self, aim, turned, angles):
         """What is left to go, (n, 3) mm, and to orientations times the reach, (n, 6)."""

@@ -51,6 +51,16 @@ def test_half_a_turn_and_limits():
     assert np.abs(found).max() <= 2.0
 
 
+def test_a_start_beyond_the_limits_is_whole_turns_away():
+    """Such as readings from 0 to a turn, of an arm whose limits are half a turn to either side."""
+    arm, angles, points, turned = poses("ur10_rail", 10)
+    angles[:, 0] += 1000
+    arm = arm.replace(limits=[(0, 4000)] + 6 * [(-2.5, 2.5)], joint_signs=1)
+    points, turned = arm.forward(angles), arm.frames(angles)[:, -1, :, :3]
+    start = angles + 2 * np.pi * arm.by_type(1.0, 0.0) * np.resize([1, -1, 0, 1, -1], (10, 7))
+    assert_allclose(arm.angles_for(points, start, turned), angles, atol=1e-6)
+
+
 def test_limits_beyond_half_a_turn_are_kept():
     """Such as those of a wrist that counts from 0 to two turns, or that has one limit only."""
     limits = [(-np.inf, 0.5), (-np.inf, np.inf), (3.5, 6), (-7, -4), (-3, 3), (4, np.inf)]
