@@ -80,3 +80,26 @@ def test_a_correction_may_leave_orientations_as_they_are():
     )
     assert_allclose(arm.forward(found), arm.forward(pose), atol=1e-6)
     assert_allclose(arm.frames(found)[:, -1, :, :3], turned, atol=1e-8)
+
+
+def test_what_is_out_of_reach_asks_for_few_corrections():
+    """Of a model that takes long: a way that leads no nearer ends, and so does what is too far."""
+    arm, angles, points, turned = poses("ur10", 12)
+    far, beside = points.copy(), points.copy()
+    far *= 1.01 * arm.reach_mm / np.linalg.norm(far, axis=1, keepdims=True)
+    beside *= 0.99 * arm.reach_mm / np.linalg.norm(beside, axis=1, keepdims=True)
+    every = np.concatenate([points, far, beside])
+    asked = np.zeros(36, dtype=int)
+
+    def correction(angles, rows):
+        asked[rows] += 1
+        return np.full((len(rows), 3), 0.1), np.full((len(rows), 3), 1e-4)
+
+    start = np.tile(angles + 0.02, (3, 1))
+    with pytest.warns(UserWarning, match="24 of 36 points are not reached: first that of row 12,"):
+        found = arm.angles_for(every, start, np.tile(turned, (3, 1, 1)), correction=correction)
+    assert_allclose(arm.forward(found[:12]), points + 0.1, atol=1e-6)
+    assert np.isnan(found[12:]).all()
+    assert asked[:12].max() <= 3
+    assert asked[12:24].max() <= 5
+    assert asked[24:].max() <= 30
