@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures
 from sklearn_raacmm.arm import JointTypes
+from sklearn_raacmm.utils import Finding
 
 X, Y, Z, DOWN, SKEW = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0, 0.8)
 R, P, F = "revolute", "prismatic", "fixed"
@@ -186,6 +187,8 @@ def test_what_slides_is_in_mm_whatever_the_unit_of_angles():
 def test_faults_have_one_sentence():
     arm = Arm.from_name("ur10_rail")
     with pytest.raises(ValueError, match="joint 1 slides, and is at nan mm in row 0"):
+        arm.forward([[np.nan, 0, 0, 0, 0, 0, 0]])
+    with Finding.numbered([2]), pytest.raises(ValueError, match="is at nan mm in row 2: "):
         arm.forward([[np.nan, 0, 0, 0, 0, 0, 0]])
     with pytest.raises(ValueError, match="a letter for each of 7 joints, R where it turns"):
         arm.replace(joint_types="PRR")
