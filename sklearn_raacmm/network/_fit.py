@@ -62,9 +62,9 @@ MAX_FITS = 4
 # Nats for each target by which the robust loss has to lead: tails lead by less, slips of 1 mm by
 # more. And the share of far rows above which they are no slips.
 LEAD, MOST_FAR = 1.0, 0.125
-# Nats for each target that leaving out the far rows has to gain before another fit is made: of some 140
-# fits to tables, real arms and functions with slips none that gained less than .39 was taken after
-# that fit, which takes a third of the time on real arms, where tails gain .08 to .3.
+# Nats for each target that leaving out the far rows has to gain before another fit is made. Of some
+# 140 fits to tables, real arms and functions with slips none that gained less than .39 was taken
+# after that fit, which takes a third of the time on real arms, where tails gain .08 to .3.
 WORTH = 0.2
 # Mean change of the weights at which they have settled.
 SETTLED = 5e-3
