@@ -28,7 +28,8 @@ from _arm_folds import (
     ur10_folds,
     ur10b_folds,
 )
-from _problems import GENERATED, generated
+from _problems import GENERATED, Problem, generated
+from bench_accuracy import mixtures
 from bench_after_the_lab import Robot, known_of_series_b
 from bench_check import knock, poses_of_simulated_arm
 from bench_speed import simulated as simulated_cones
@@ -49,6 +50,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.network import KERNELS
 
 N_ROWS = 1500  # poses of the UR10 of which a model is made
 WITHIN = 1.96  # standard deviations of an interval of 95 %
@@ -255,29 +257,54 @@ def calibration(data_home):
 
 # -- the network ----------------------------------------------------------------------------------
 
-SIZES, MANY_DRAWS = (10, 30, 100, 300, 1000), {10: 20, 30: 10, 100: 4, 300: 2}
+# Draws of every generated problem by its number of rows; and which of them are drawn once at 1000
+# rows: a smooth function with few centres, and rough ones of two and eight features.
+DRAWS, AT_1000 = {10: 5, 30: 4, 300: 1}, ("friedman2", "kinks2", "robot_arm8")
 LEVEL = norm.ppf(0.975)
 
 
-def _of_generated(name, n):
-    """Error, coverage and number of centres of one problem, over some draws of few rows."""
-    errors, covered, centers = [], [], []
-    for seed in range(MANY_DRAWS.get(n, 1)):
-        problem = generated(name, n, seed)
-        model = RBFNetRegressor(random_state=0).fit(problem.X, problem.y)
-        mean, std = model.predict(problem.X_test, return_std=True)
-        scale = problem.truth.std(axis=0)
-        errors.append(np.mean(np.square((mean - problem.truth) / scale)))
-        covered.append(np.mean(np.abs(problem.observed - mean) <= LEVEL * std))
-        centers.append(len(model.centers_))
-    return np.sqrt(np.mean(errors)), np.mean(covered), np.mean(centers)
+def _of_problem(name, problem, **params):
+    """Error, coverage, centres and roughness of the kernel, from 0 to 3, of a fitted network."""
+    model = RBFNetRegressor(random_state=0, **params).fit(problem.X, problem.y)
+    mean, std = model.predict(problem.X_test, return_std=True)
+    error = np.square((mean - problem.truth) / problem.truth.std(axis=0))
+    order = list(KERNELS)
+    return {
+        f"network, {name}, error": np.sqrt(np.mean(error)),
+        f"network, {name}, inside 95 %": np.mean(np.abs(problem.observed - mean) <= LEVEL * std),
+        f"network, {name}, centres": len(model.centers_),
+        f"network, {name}, kernel": np.mean([order.index(n.kernel) for n in model.networks_]),
+    }
 
 
-def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
+def _of_draws(name, n, draws):
+    """The same, means over some draws of the rows."""
+    found = [_of_problem(f"{name}, {n} rows", generated(name, n, seed)) for seed in range(draws)]
+    return {key: np.mean([one[key] for one in found]) for key in found[0]}
+
+
+def _of_ways():
+    """The same of slips, ranks as inputs, a number and a share of centres, and many rows."""
+    rng = np.random.default_rng(0)
+    clean = generated("friedman1", 200)
+    far = np.zeros(200)
+    far[rng.permutation(200)[:6]] = 8 * clean.y.std()
+    found = _of_problem("slips, 200 rows", clean._replace(y=clean.y + far))
+    X, y = mixtures(rng, 1300)
+    uneven = Problem(X[:300], y[:300], X[300:], y[300:], y[300:])
+    found |= _of_problem("mixtures, 300 rows", uneven)
+    three = generated("periodic3", 300)
+    found |= _of_problem("20 shared centres, 300 rows", three, n_centers=20, shared="scaled")
+    found |= _of_problem("centres for 99 %, 300 rows", three, n_centers=0.01)
+    found |= _of_problem("friedman1, 4000 rows", generated("friedman1", 4000))
+    given = {"n_centers": 50, "length_scale": 1.0, "alpha": 1e-4}
+    return found | _of_problem("blocks, 110 000 rows", generated("fourier3", 110_000), **given)
+
+
+def _of_arm(arm, inputs, angles, residuals, folds, groups=None, scatter=None):
     """Share of the residuals that a chain leaves in folds it has not seen, or of their scatter."""
     left, whole = 0.0, 0.0
     for train, test in folds:
-        inputs = {"joints": "all", "encoding": "periodic"} if joints else {}
         chain = make_pipeline(
             PoseFeatures(arm, append_azimuth=True, **inputs),
             CylindricalResidualTarget(RBFNetRegressor(random_state=0)),
@@ -293,26 +320,29 @@ def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
     return np.sqrt(left / whole)
 
 
-def _panda_folds(name, home):
-    """Arm, angles, residuals, labels and folds of whole placements."""
-    angles, groups, placements = read_panda(name, home)
-    known = pairs_known(np.unique(placements))
-    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known, **MOVED)
-    good = found.sample_weight > 0
-    angles, groups = angles[good], groups[good]
-    residuals = position_residuals(found.arm.forward(angles), groups)
-    folds = list(GroupKFold(4).split(angles, groups=placements[good]))
-    return found.arm, angles, residuals, groups, folds
-
-
-def _ur10_folds(home):
-    """The same of whole goals, of every fourth goal; none are labelled."""
-    angles, points, groups = read_ur10("A", home)
-    some = groups % 4 == 0
-    angles, points, groups = angles[some], points[some], groups[some]
-    found = calibrate(TOOLED_UR10, angles, points=points)
-    folds = list(GroupKFold(3).split(angles, groups=groups))
-    return found.arm, angles, found.residuals(angles, points), None, folds
+def _of_arms(data_home):
+    """The same of two folds of two Pandas' placements, and of every 24th goal of the UR10."""
+    found = {}
+    for name in ("panda_2", "panda_3"):
+        angles, groups, placements = read_panda(name, data_home)
+        known = pairs_known(np.unique(placements))
+        calibrated = calibrate(NOMINAL_PANDA, angles, groups, lengths=known, **MOVED)
+        good = calibrated.sample_weight > 0
+        angles, groups = angles[good], groups[good]
+        y = position_residuals(calibrated.arm.forward(angles), groups)
+        folds = list(GroupKFold(4).split(angles, groups=placements[good]))[:2]
+        given = calibrated.arm, {}, angles, y, folds
+        found[f"network, {name}, groups, error"] = _of_arm(*given, groups, groups)
+    found[f"network, {name}, error"] = _of_arm(*given, None, groups)
+    angles, points, goals = read_ur10("A", data_home)
+    some = goals % 24 == 0
+    angles, points, goals = angles[some], points[some], goals[some]
+    calibrated = calibrate(TOOLED_UR10, angles, points=points)
+    folds = list(GroupKFold(3).split(angles, groups=goals))[:1]
+    y = calibrated.residuals(angles, points)
+    for name, inputs in (("pose", {}), ("all joints", {"joints": "all", "encoding": "periodic"})):
+        found[f"network, UR10, {name}, error"] = _of_arm(calibrated.arm, inputs, angles, y, folds)
+    return found
 
 
 def network(data_home):
@@ -320,20 +350,11 @@ def network(data_home):
     found = {}
     warnings.simplefilter("ignore")
     for name in GENERATED:
-        for n in SIZES:
-            error, covered, centers = _of_generated(name, n)
-            found[f"network, {name}, {n} rows, error"] = error
-            found[f"network, {name}, {n} rows, inside 95 %"] = covered
-            found[f"network, {name}, {n} rows, centres"] = centers
-    arms = {name: _panda_folds(name, data_home) for name in ("panda_2", "panda_3")}
-    arms["UR10"] = _ur10_folds(data_home)
-    for joints in (False, True):
-        for name, (arm, angles, residuals, groups, folds) in arms.items():
-            for labels in (None, groups) if groups is not None else (None,):
-                what = f"network, {name}, {'all joints' if joints else 'pose'}"
-                what += ", error" if labels is None else ", groups, error"
-                found[what] = _of_arm(arm, joints, angles, residuals, folds, labels, groups)
-    return found
+        for n, draws in DRAWS.items():
+            found |= _of_draws(name, n, draws)
+    for name in AT_1000:
+        found |= _of_draws(name, 1000, 1)
+    return found | _of_ways() | _of_arms(data_home)
 
 
 def seconds(data_home):
