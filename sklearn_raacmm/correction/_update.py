@@ -343,9 +343,9 @@ def _gain_of_another(expected, named):
     """Log evidence that the residuals are of another arm, less that this one has changed, nats.
 
     The noise is found in each: rows that scatter are no change. A change: ``r ~ N(B b, A S A' +
-    s^2)`` as in `_what_is_wrong`, with one tau for each part, of which those that are `named` change
-    by more, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one tau for all parts, T what another table
-    does.
+    s^2)`` as in `_what_is_wrong`, with one tau for each part, and for each of those that are
+    `named`, which change by more, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2
+    A V A' + T T')``, one tau for all parts, T what another table does.
     """
     linear, rows, shown = expected.linear, expected.rows, expected.shown
     place = place_columns(rows.arm, rows.X, rows.codes is None)
