@@ -87,7 +87,7 @@ class Change:
 
     `expected` is what the model expects of the rows, by its columns of `as_prior`. `log_noise`
     bounds the logarithm of the noise in units of the old model's. Where changes are `named`, no
-    others are there: see `_of_named`. `positions` (n,) are left out together.
+    others are there: see `of_named`. `positions` (n,) are left out together.
     """
 
     def __init__(self, expected, log_noise=LOG_NOISE, named=None, positions=None):
@@ -97,7 +97,7 @@ class Change:
         self.place = place_columns(linear.arm, rows.X, rows.codes is None)
         self.changes = changes_of(linear)
         if named is not None:
-            self.changes = _of_named(linear, self.changes[0], named)
+            self.changes = of_named(linear, self.changes[0], named)
             if "probe" not in named and rows.codes is not None:
                 self.place = self.place[:, :, :0]
         self.fold = _into_kinematics(linear, self.place.shape[2])
@@ -258,7 +258,7 @@ def changes_of(linear):
     return parts_of(linear), sizes
 
 
-def _of_named(linear, part, named):
+def of_named(linear, part, named):
     """What columns may change together with, and by how much, if none but these changes are there.
 
     A knock turns the zero of a joint, or makes its encoder eccentric, by more than errors of an arm

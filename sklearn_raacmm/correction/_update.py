@@ -21,6 +21,7 @@ from sklearn_raacmm.correction._change import (
     as_prior,
     changes_of,
     day,
+    of_named,
 )
 from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._condition import (
@@ -179,12 +180,13 @@ def update_correction(
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
-    for finding in _what_is_wrong(model, expected):
+    named = named_changes(expected)
+    for finding in _what_is_wrong(model, expected, named):
         finding.report()
     if np.abs(_left(model, expected)).max() <= ROUNDED * linear.arm.reach_mm:
         _as_it_was(updated, expected, date)
         return updated
-    change = Change(expected, named=named_changes(expected))
+    change = Change(expected, named=named)
     updated.linear_model_, entry, pose_weight = change.model(date)
     _say_if_strange(linear, entry, "updated model", "repair")
     updated.fading_, judgement = change.judged(model.fading_, rows.weights * pose_weight)
@@ -256,12 +258,15 @@ def probe_is_new(expected: Expected) -> bool:
     return bool(0.5 * (off @ off) * (1 - wider**-2) > 3 * np.log(wider))
 
 
-def _what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[Finding]:
+def _what_is_wrong(
+    model: ArmResidualRegressor, of_rows: Expected, named: Sequence[str] | None
+) -> Iterator[Finding]:
     """Yield the most likely explanation of new poses, if it is likelier than that nothing is wrong.
 
     With r what an explanation leaves of the residuals beside the model, A the model's columns and B
     those of base and tool, ``r ~ N(B b, s^2 (A S A' + v + tau^2 A V A'))``: S is the widened
-    posterior, V the variance before any data, v that of the noise, and b may be anything. Its
+    posterior, V the variance before any data, v that of the noise, and b may be anything. As they
+    are given rows may show the changes that they have `named`, too, which are larger. Its
     likelihood is the highest over s and tau times their log-normal priors: s is found in each, as
     noise that is known would prefer whatever makes residuals small. Of every explanation the
     difference to the same rows as they are given is a gain in nats; the best is said where it
@@ -297,8 +302,8 @@ def _what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[F
         return
 
     @cache  # most explanations share it
-    def spread_of(some, table):
-        return _Spread(wider.at(np.frombuffer(some, dtype=int)), table)
+    def spread_of(some, table, changes=()):
+        return _Spread(wider.at(np.frombuffer(some, dtype=int)), table, changes)
 
     every = Explanation.of_residuals(
         rows.y, expected, rows.X, n_joints, rows.codes,
@@ -308,10 +313,10 @@ def _what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[F
     few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
     fair = [one for one in tried if not (few and one.code == "other-table")]
-    gains = [_gain(one, given, expected, spread_of) for one in fair]
+    gains = [_gain(one, given, expected, spread_of, tuple(named or ())) for one in fair]
     likely = Explanation.likeliest(zip(gains, fair, strict=True))
     if not likely:
-        nats = float("-inf") if few else _gain_of_another(of_rows)
+        nats = float("-inf") if few else _gain_of_another(of_rows, named or ())
         if nats > Explanation.PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
@@ -334,20 +339,22 @@ def _what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[F
     )
 
 
-def _gain_of_another(expected):
+def _gain_of_another(expected, named):
     """Log evidence that the residuals are of another arm, less that this one has changed, nats.
 
     The noise is found in each: rows that scatter are no change. A change: ``r ~ N(B b, A S A' +
-    s^2)`` as in `_what_is_wrong`, with one tau for each part, and the tool free or known; another
-    arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one tau for all parts, T what another table
-    does.
+    s^2)`` as in `_what_is_wrong`, with one tau for each part, and for each of those that are
+    `named`, which change by more, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2
+    A V A' + T T')``, one tau for all parts, T what another table does.
     """
     linear, rows, shown = expected.linear, expected.rows, expected.shown
     place = place_columns(rows.arm, rows.X, rows.codes is None)
     parts = expected.columns, place, _table_columns(rows.arm, rows.X)
     columns, place, table = map(shown, parts)
     part, size = changes_of(linear)
-    changes = part, np.where(part == "kinematics", _IN_USE, 1.0) * size
+    names, knocked = of_named(linear, part, named)
+    of_change = np.where(part == "kinematics", _IN_USE, 1.0) * size
+    changes = np.where(knocked > 0, names, part), np.maximum(of_change, knocked)
     after = Posterior(linear, changes, shown, columns, place, LOG_NOISE)
     weights = shown.weights * after.row_weight
     every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
@@ -363,7 +370,7 @@ def _gain_of_another(expected):
     known = own @ linear.half, base
     change = max(of(changes, *known, *free, start=after.logs) for free in ((), (tool,)))
     unknown = left + own @ linear.coef
-    whole = np.full(p, "all"), _ALL_OF_IT * changes[1]
+    whole = np.full(p, "all"), _ALL_OF_IT * of_change
     tables = (of(whole, base, tool, share * table, y=unknown) for share in _SAME_MAKE)
     return max(tables) - change
 
@@ -374,11 +381,12 @@ def _table_columns(arm, angles):
     return jac * np.repeat([1.0, 1e-3] * 2, arm.n_joints)
 
 
-def _gain(one, given, expected, spread_of):
+def _gain(one, given, expected, spread_of, named):
     """Log likelihood of an explanation less that of the same rows as they are `given`, nats.
 
     Less, too, the logarithm of how many of its kind are tried. `spread_of` says the covariance of
-    what is left at some rows, `expected` (n, 3) what the model expects there, mm.
+    what is left at some rows, where changes are `named` with these; `expected` (n, 3) is what the
+    model expects there, mm.
     """
     some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
     rows, other_table = one.rows[some], one.code == "other-table"
@@ -390,9 +398,9 @@ def _gain(one, given, expected, spread_of):
         noise = 0.5 * np.log1p(size / spread.freedom)
     explained = spread.log_likelihood(one.left[some], taus, noise)
     explained += spread.freedom * np.log(one.factor)
-    tables = (0.0, _CALIBRATED) if other_table else (0.0,)
     own = rows if one.of is None else one.of[some]  # the same residuals at their own angles
-    spreads = (spread_of(own.tobytes(), table) for table in tables)
+    known = {(0.0, ()), (0.0, named), (_CALIBRATED * other_table, ())}
+    spreads = (spread_of(own.tobytes(), *more) for more in known)
     as_given = max(spread.log_likelihood(given[own]) for spread in spreads)
     return explained - as_given - np.log(one.n_tried)
 
@@ -400,11 +408,15 @@ def _gain(one, given, expected, spread_of):
 class _Spread:
     """Covariance of the residuals of some poses about the model, along its own axes."""
 
-    def __init__(self, expected, table):
+    def __init__(self, expected, table, named):
         linear, rows, shown = expected.linear, expected.rows, expected.shown
         known = shown.flat(expected.spread)
         if table:
             known = np.hstack([known, shown.flat(table * _table_columns(linear.arm, rows.X))])
+        if named:
+            knocked = of_named(linear, changes_of(linear)[0], named)[1]
+            columns = (expected.columns * knocked)[:, :, knocked > 0]
+            known = np.hstack([known, shown.flat(columns)])
         place = shown.flat(place_columns(linear.arm, rows.X, rows.codes is None))
         self.shown, self.whiten = shown, Whitened(known, place, shown.n_coordinates)
         self.freedom = self.whiten.freedom

@@ -377,6 +377,29 @@ def test_a_jitter_that_is_barely_likelier_a_change_changes_nothing():
         assert updated.updates_[0]["tau"] == {}
 
 
+@pytest.mark.parametrize("arcsec", [200, pytest.param(600, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("joint", [2, pytest.param(4, marks=pytest.mark.exhaustive)])
+def test_a_hard_knock_of_one_joint_makes_no_other_arm_of_it(model, joint, arcsec):
+    """Before a tracker and in cones: as a change of all parts it would be larger than an arm's."""
+    angles, y = rows(60, 1)
+    far, _ = rows(300, 2)
+
+    def knock(angles):
+        return ARM.jacobian(angles)[:, :, joint - 1] * arcsec * ARCSEC
+
+    updated = update_correction(model, angles, y + knock(angles))
+    assert not updated.findings_
+    off = np.linalg.norm(errors(far) + knock(far) - updated.predict(far), axis=1).mean()
+    assert off < 0.03 * np.linalg.norm(knock(far), axis=1).mean()
+    test = make_single_point(11, 20, random_state=400)
+    X, learnt = test.data + arcsec * ARCSEC * np.eye(6)[joint - 1], test.groups < 8
+    of_cones = ArmResidualRegressor(test.arm, orders=8)
+    of_cones.fit(test.data[learnt], test.target[learnt], groups=test.groups[learnt])
+    shown = position_residuals(test.arm.forward(X[~learnt]), test.groups[~learnt])
+    given = {"groups": test.groups[~learnt]}
+    assert not update_correction(of_cones, X[~learnt], shown, **given).findings_
+
+
 def test_a_change_without_a_column_of_its_own_is_learned_by_others():
     """A model of wobble alone has no offsets of joints: its other columns take up what they can."""
     model = ArmResidualRegressor(ARM, orders=4, causes=["wobble"]).fit(*rows(500, 0))
