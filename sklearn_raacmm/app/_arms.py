@@ -97,9 +97,11 @@ def _with_encoders(shown, options):
         signs = parse_numbers("--sign", options.sign, *given)
         if any(abs(sign) != 1 for sign in signs):
             raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
-        shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs))
+        sums = [(i, j, f * signs[i - 1] * signs[j - 1]) for i, j, f in shown.couplings]
+        shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs), couplings=sums)
     if options.zero:
-        moved = shown.joint_signs * parse_numbers("--zero", options.zero, *given)
+        zero = np.array([parse_numbers("--zero", options.zero, *given)])
+        moved = shown.joint_signs * shown.own_angles(zero)[0]  # sums of angles, sums of zeros
         turned = shown.by_type(np.pi / 180, 0.0) * moved
         slid = shown.by_type(0.0) * moved  # mm
         shown = shown.replace(theta_offset=shown.theta_offset - turned, d=shown.d - slid)

@@ -190,16 +190,22 @@ def external_axes(table, used):
 
 
 def _by_names_of_joints(table, names, joint_names):
-    """One column for each joint, whose name holds that of the joint; None of others."""
-    columns = []
-    for joint in joint_names:
-        word = re.escape(joint.lower().removesuffix("_joint"))
-        pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
-        fitting = [i for i, name in enumerate(names) if name == joint.lower()]
-        fitting = fitting or [i for i, name in enumerate(names) if pattern.search(name)]
-        columns.append(_measured_angles(table, fitting))
-    found = {one[0] for one in columns if len(one) == 1}
-    return [column for (column,) in columns] if len(found) == len(joint_names) else None
+    """One column for each joint, whose name holds that of the joint; None of others.
+
+    As they are, else behind what robots of several arms put before them: ``left_elbow_joint``.
+    """
+    texts = [f"{name} {header.lower()}" for name, header in zip(names, table.header, strict=True)]
+    for before in ("a-z0-9_", "a-z0-9"):
+        columns = []
+        for joint in map(str.lower, joint_names):
+            word = r"[\W_]*".join(map(re.escape, joint.removesuffix("_joint").split("_")))
+            pattern = re.compile(rf"(?<![{before}]){word}(?![a-z0-9])")
+            fitting = [i for i, name in enumerate(names) if name == joint]
+            fitting = fitting or [i for i, text in enumerate(texts) if pattern.search(text)]
+            columns.append(_measured_angles(table, fitting))
+        if len({one[0] for one in columns if len(one) == 1}) == len(joint_names):
+            return [column for (column,) in columns]
+    return None
 
 
 def _joint_states(table, n):

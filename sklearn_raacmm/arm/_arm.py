@@ -60,7 +60,9 @@ class Arm(ReachingChain):
     theta_offset : float or array-like of shape (n_joints,), default=0
         Angle in rad added to each (signed) joint angle.
     probe : array-like of shape (3,), default=(0, 0, 0)
-        Vector from the origin of the last frame to the centre of the probe, in that frame, mm.
+        Vector from the origin of the last frame to the centre of the probe, in that frame, mm. A
+        last row of a maker's table that no joint moves, that of a flange with `d` alone, is
+        ``(0, 0, d)``.
     convention : {"standard", "modified"}, default="standard"
         How row ``i`` of the table takes frame ``i - 1`` to frame ``i``:
 
@@ -118,6 +120,13 @@ class Arm(ReachingChain):
 
     Notes
     -----
+    An arm is made of a table by :meth:`from_degrees`, of a drawing's lengths by
+    :meth:`from_lengths`, of a robot's own file by :meth:`from_urdf`, or by :meth:`from_name` and
+    :meth:`from_json`. It is asked by :meth:`forward`, :meth:`frames`, :meth:`jacobian` and
+    :meth:`angles_for`, changed by :meth:`replace` and :meth:`seen_from`, and kept by
+    :meth:`to_json`, :meth:`to_urdf` and :meth:`update_urdf`. What else it has serves the models:
+    those methods take angles in rad, and mm of what slides, as :meth:`check_angles` returns them.
+
     ``forward`` is equation (1) of Gao et al. (2020), doi 10.1177/1729881420925638, with a free
     probe vector instead of ``(0, 0, l)``; the equation itself is a reconstruction.
 

@@ -126,17 +126,25 @@ class Chain:
         return {name: getattr(self, name) for name in Chain.__annotations__}
 
     def on_trial(self, **changes: object) -> Self:
-        """Change fields that nobody checks: for kinematics, many times a second.
+        """As :meth:`replace`, without its checks of values: for searches that try many tables.
 
         Parameters
         ----------
         **changes : object
-            Fields as :meth:`replace` leaves them. Which joints slide stays as it is.
+            Fields as :meth:`replace` leaves them, such as arrays of one float64 per joint. Which
+            joints slide stays as it is.
 
         Returns
         -------
         Arm
+
+        Raises
+        ------
+        TypeError
+            If there is no such field.
         """
+        if unknown := changes.keys() - Chain.__annotations__.keys():
+            raise TypeError(f"an arm has no field {min(unknown)!r} that could be changed.")
         one = object.__new__(type(self))
         vars(one).update(self.__getstate__() | {"slides": self.slides} | changes)
         return one
@@ -267,7 +275,12 @@ class Chain:
         ndarray of shape (n_samples, n_joints)
             The same where the arm has no `couplings`; else with the angles that are added.
         """
-        return angles @ self.own_by_given.T if self.couplings else angles
+        if not self.couplings:
+            return angles
+        own = angles.copy()  # a product of matrices would spread NaN over all joints of its row
+        for joint, other, factor in self.couplings:
+            own[:, joint - 1] += factor * angles[:, other - 1]
+        return own
 
     def phases(self, angles: Floats) -> Floats:
         """Angles of which harmonics of each joint's error are sines and cosines.

@@ -21,12 +21,17 @@ _REACHED_MM = 1e-7
 # Rounds, each with a correction of its own, and steps of the bare arm in each. The first round may
 # come from far away; a step turns no joint further than this, in rad.
 _ROUNDS, _STEPS, _LARGEST_STEP = 20, 30, 0.5
+# A way ends with a round that leaves more of its gap than this share: of 17 631 ways that arrived
+# .7 % stood still for as long.
+_GAIN = 0.99
 # Least ratio of the singular values of the Jacobian that is divided by: a stretched arm cannot move
 # outwards. Nearer than this, mm, the least falls with the gap, so that singular poses are reached.
 _LEAST_RATIO, _NEAR_MM = 1e-4, 0.1
-# Poses tried where no start is given. Tries from a start and from so far beside it, rad: ways may
-# end beside a singular pose.
-_STARTS, _TRIES, _ASIDE = 20, 4, 0.1
+# Poses tried where no start is given. How far beside a start ways begin that are tried after it,
+# rad: they may end beside a singular pose or at limits. Twenty rounds for each way, and three ways
+# from so near, reached .96 of 6 480 poses within limits from .05, .5 and 1.5 rad away; these reach
+# .99 in a quarter of the time.
+_STARTS, _ASIDE = 20, (0.1, 0.1, 0.1, 0.4, 0.6, 0.8, 1.0)
 
 
 class ReachingChain(Chain):
@@ -49,7 +54,8 @@ class ReachingChain(Chain):
             In the base frame, mm.
         start : array-like of shape (n, n_joints) or (1, n_joints), default=None
             Poses to begin at: of all the angles that reach a point those near the start are taken,
-            within `limits` where the arm has some. None: zero, then 19 random poses.
+            within `limits` where the arm has some, by whole turns from a start beyond them. None:
+            zero, then 19 random poses.
         orientations : array-like of shape (n, 3, 3), default=None
             Rotation matrix that the last frame is to have in the base frame. None: any.
         angle_unit : {"rad", "deg"}, default="rad"
@@ -86,40 +92,42 @@ class ReachingChain(Chain):
         check_option("angle_unit", angle_unit, ("rad", "deg"))
         points = floats("points", points, 3)
         turns = None if orientations is None else _check_orientations(orientations, len(points))
-        start = None if start is None else self.check_angles(start, angle_unit)
+        start = None if start is None else self._within(self.check_angles(start, angle_unit))
         if start is not None and len(start) not in (1, len(points)):
             raise ValueError(
                 f"start has {len(start)} poses for {len(points)} points: give one, or one each."
             )
         rng, shape = np.random.default_rng(0), (len(points), self.n_joints)
         first, last = np.clip(self.spans, *self.bounds)  # limits may be beyond half a turn
-        aside = _ASIDE * self.by_type(1.0, self.reach_mm)
+        unit = self.by_type(1.0, self.reach_mm)
         angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
-        open_ = np.arange(len(points))
+        open_, near = np.arange(len(points)), np.linalg.norm(points, axis=1) <= self.reach_mm
 
         def of_open(angles, rows, correction: Any = correction):
             return correction(angles, open_[rows])
 
-        for again in range(_STARTS if start is None else _TRIES):
+        for again, aside in enumerate([0.0] * _STARTS if start is None else [0.0, *_ASIDE]):
             if start is None:
                 own = rng.uniform(first, last) * (again > 0)
             else:
-                own = start + rng.normal(0, aside, shape) * (again > 0)
+                own = start + rng.normal(0, aside * unit, shape)
             wanted = None if turns is None else turns[open_]
             own = np.broadcast_to(own, shape)[open_]
             angles[open_], left = self.solve(points[open_], own, wanted, correction and of_open)
             nearer = left[:, 0] < off[open_, 0]
             off[open_[nearer]] = left[nearer]
-            open_ = open_[np.isnan(angles[open_, 0])]
+            # What is beyond the stretched arm is so from any start.
+            open_ = np.flatnonzero(np.isnan(angles[:, 0]) & near)
             if not len(open_):
                 break
-        if len(open_):
-            mm, rad = off[open_[0]]
+        missed = np.flatnonzero(np.isnan(angles[:, 0]))
+        if len(missed):
+            mm, rad = off[missed[0]]
             turned = f" and {np.rad2deg(rad):.3g} degrees" if orientations is not None else ""
             warn_user(
-                f"{len(open_)} of {len(points)} points are not reached: first that of row "
-                f"{open_[0]}, to which the probe came as near as {mm:.3g} mm{turned}. Their angles "
-                "are NaN."
+                f"{len(missed)} of {len(points)} points are not reached: first that of row "
+                f"{missed[0]}, to which the probe came as near as {mm:.3g} mm{turned}. Their "
+                "angles are NaN."
             )
         return self.in_unit(angles, angle_unit)
 
@@ -148,7 +156,7 @@ class ReachingChain(Chain):
         """
         low, high = self.bounds
         angles, off = np.clip(start, low, high), np.zeros((len(points), 2))
-        open_ = np.arange(len(points))
+        open_, last = np.arange(len(points)), np.full(len(points), np.inf)
         for _ in range(_ROUNDS):
             aim, turned = points[open_], None if orientations is None else orientations[open_]
             if correction is not None:
@@ -159,7 +167,11 @@ class ReachingChain(Chain):
             gap = self._gaps(aim, turned, angles[open_])
             off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)
             off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / self.reach_mm
-            going = np.linalg.norm(gap, axis=1) > _REACHED_MM
+            size = np.linalg.norm(gap, axis=1)
+            left = size > _REACHED_MM
+            going = left & (size < _GAIN * last[open_])
+            angles[open_[left & ~going]] = np.nan  # as near as it comes on this way
+            last[open_] = size
             open_, aim = open_[going], aim[going]
             if not len(open_):
                 break
@@ -167,6 +179,14 @@ class ReachingChain(Chain):
             angles[open_] = self._bare(aim, turned, angles[open_])
         angles[open_] = np.nan
         return angles, off
+
+    def _within(self, angles):
+        """Angles by whole turns within the limits, where there are such."""
+        low, high = self.bounds
+        up, down = np.ceil((low - angles) / (2 * np.pi)), np.ceil((angles - high) / (2 * np.pi))
+        turns = np.maximum(up, 0.0) - np.maximum(down, 0.0)
+        turned = angles + turns * self.by_type(2 * np.pi, 0.0)
+        return np.where((low <= turned) & (turned <= high), turned, angles)
 
     def _gaps(self, aim, turned, angles):
         """What is left to go, (n, 3) mm, and to orientations times the reach, (n, 6)."""

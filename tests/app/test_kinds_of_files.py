@@ -148,6 +148,18 @@ KINDS = {
         ["t", *(f"{n} [rad]" for n in ALPHABETICAL), *(f"{n} current" for n in ALPHABETICAL)],
         *([i, *r, *(9 * r)] for i, r in enumerate(RAD[:, ORDER])),
     ])),
+    # Robots of several arms, and of several robots, put a name before those of the joints.
+    **{f"names of joints behind {before}": with_points(joined([
+        ["t", *(f"{before}{n}{unit}" for n in ALPHABETICAL)],
+        *([i, *r] for i, r in enumerate(RAD[:, ORDER])),
+    ])) for before, unit in (("left_", " [rad]"), ("r2_", " [rad]"))},
+    "names of joints behind a slash": {  # which may part a unit, too
+        "text": joined([
+            ["t", *(f"ur/{n}" for n in ALPHABETICAL)],
+            *([i, *r] for i, r in enumerate(RAD[:, ORDER])),
+        ]),
+        "options": {"points": "points", "angle_unit": "rad"},
+    },
     **{kind: with_points(text) for kind, text in PROGRAM.items()},
     # RoboDK, "Robot calibration", file of measurements: joints, then the tracker's point.
     "robodk": {

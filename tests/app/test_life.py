@@ -451,14 +451,16 @@ def test_fewer_columns_are_the_first_of_all(folder, tmp_path, capsys):
         pd.testing.assert_frame_equal(found[std], found["all"][found[std].columns])
 
 
-def test_senses_and_zeros_of_encoders_are_options(tmp_path, capsys):
+@pytest.mark.parametrize("couplings", [(), [(3, 2, 1), (4, 3, -1)]], ids=["alone", "sums"])
+def test_senses_and_zeros_of_encoders_are_options(couplings, tmp_path, capsys):
     """Readings of other encoders of the same arm give the same points."""
-    signs, zeros = [-1, 1, 1, -1, 1, 1], [-10.0, 0, 0, 20, 0, 3.5]
+    signs, zeros = [-1, 1, 1, -1, 1, 1], [-10.0, 0, 5, 20, 0, 3.5]
     lists = [",".join(map(str, values)) for values in (signs, zeros)]
-    out = tmp_path / "arm.json"
-    words = ["arm", "aacmm6", "--up", "-1,0,0", "--sign", lists[0], "--zero", lists[1]]
-    assert run(capsys, *words, "--out", out)[0] == 0
-    arm, plain = Arm.from_json(out.read_text()), Arm.from_name("aacmm6")
+    plain, out = Arm.from_name("aacmm6", couplings=couplings), tmp_path / "arm.json"
+    plain.to_json(tmp_path / "plain.json")
+    words = ["--up", "-1,0,0", "--sign", lists[0], "--zero", lists[1], "--out", out]
+    assert run(capsys, "arm", tmp_path / "plain.json", *words)[0] == 0
+    arm = Arm.from_json(out.read_text())
     true = np.random.default_rng(0).uniform(-2, 2, (5, 6))
     assert_allclose(arm.forward(true * signs + np.deg2rad(zeros)), plain.forward(true), atol=1e-9)
     assert_allclose(arm.up, (-1, 0, 0))

@@ -308,3 +308,13 @@ def test_an_arm_on_trial_moves_as_the_checked_one():
             assert_array_equal(ours, theirs)
     assert_array_equal(trial.points_at(angles), checked.forward(angles))
     assert trial.slides == [0]
+    with pytest.raises(TypeError, match="an arm has no field 'theta_ofset' that could be changed"):
+        arm.on_trial(theta_ofset=arm.theta_offset)
+
+
+def test_a_missing_angle_is_missing_where_it_is_a_part_of_a_sum_only():
+    arm, angles = random_arm("standard").replace(couplings=SUMS), np.ones((2, 6))
+    angles[1, 1] = np.nan
+    found = arm.own_angles(angles)
+    assert np.argwhere(np.isnan(found)).tolist() == [[1, 1], [1, 2]]
+    assert_array_equal(found[0], [1, 1, 2, 1, 1, 0])

@@ -51,6 +51,16 @@ def test_half_a_turn_and_limits():
     assert np.abs(found).max() <= 2.0
 
 
+def test_a_start_beyond_the_limits_is_whole_turns_away():
+    """Such as readings from 0 to a turn, of an arm whose limits are half a turn to either side."""
+    arm, angles, points, turned = poses("ur10_rail", 10)
+    angles[:, 0] += 1000
+    arm = arm.replace(limits=[(0, 4000)] + 6 * [(-2.5, 2.5)], joint_signs=1)
+    points, turned = arm.forward(angles), arm.frames(angles)[:, -1, :, :3]
+    start = angles + 2 * np.pi * arm.by_type(1.0, 0.0) * np.resize([1, -1, 0, 1, -1], (10, 7))
+    assert_allclose(arm.angles_for(points, start, turned), angles, atol=1e-6)
+
+
 def test_limits_beyond_half_a_turn_are_kept():
     """Such as those of a wrist that counts from 0 to two turns, or that has one limit only."""
     limits = [(-np.inf, 0.5), (-np.inf, np.inf), (3.5, 6), (-7, -4), (-3, 3), (4, np.inf)]
@@ -70,3 +80,26 @@ def test_a_correction_may_leave_orientations_as_they_are():
     )
     assert_allclose(arm.forward(found), arm.forward(pose), atol=1e-6)
     assert_allclose(arm.frames(found)[:, -1, :, :3], turned, atol=1e-8)
+
+
+def test_what_is_out_of_reach_asks_for_few_corrections():
+    """Of a model that takes long: a way that leads no nearer ends, and so does what is too far."""
+    arm, angles, points, turned = poses("ur10", 12)
+    far, beside = points.copy(), points.copy()
+    far *= 1.01 * arm.reach_mm / np.linalg.norm(far, axis=1, keepdims=True)
+    beside *= 0.99 * arm.reach_mm / np.linalg.norm(beside, axis=1, keepdims=True)
+    every = np.concatenate([points, far, beside])
+    asked = np.zeros(36, dtype=int)
+
+    def correction(angles, rows):
+        asked[rows] += 1
+        return np.full((len(rows), 3), 0.1), np.full((len(rows), 3), 1e-4)
+
+    start = np.tile(angles + 0.02, (3, 1))
+    with pytest.warns(UserWarning, match="24 of 36 points are not reached: first that of row 12,"):
+        found = arm.angles_for(every, start, np.tile(turned, (3, 1, 1)), correction=correction)
+    assert_allclose(arm.forward(found[:12]), points + 0.1, atol=1e-6)
+    assert np.isnan(found[12:]).all()
+    assert asked[:12].max() <= 3
+    assert asked[12:24].max() <= 5
+    assert asked[24:].max() <= 30
