@@ -15,13 +15,13 @@ from scipy.spatial import KDTree
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration._checks import (
-    check_correction,
     check_measured,
+    inputs_of_model,
     predicted,
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import UNKNOWN_PLACE_MM, WEIGHTS, Fit
+from sklearn_raacmm.calibration._fit import UNKNOWN_PLACE_MM, WEIGHTS, TableFit
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._result import CalibrationResult
 from sklearn_raacmm.calibration._worth import result_of
@@ -188,7 +188,7 @@ def calibrate(
     if not all(isinstance(name, str) and name in Arm.TABLE for name in free):
         raise ValueError(f"free must name some of {', '.join(Arm.TABLE)}, got {free!r:.60}.")
     asked: Any = angles.angles if isinstance(angles, Measurements) else angles
-    asked = None if correction is None else check_correction(correction, asked, angle_unit, arm)
+    asked = None if correction is None else inputs_of_model(correction, asked, angle_unit, arm)
     if groups is not None and points is not None:
         raise ValueError("give either groups, or points that were measured.")
     lengths = listed("lengths", lengths)
@@ -201,20 +201,20 @@ def calibrate(
         angles = within_turn(angles, arm.joint_types)
         groups, angle_unit = find_places(arm, angles), "rad"
     given |= {"angle_unit": angle_unit, "joint_types": arm.joint_types}
-    problem = Measurements.taken(angles, groups, **given)
-    if problem.points is not None:
-        problem = replace(problem, lengths=[], offsets=None)
-    check_measured(arm, problem)
-    poses = problem.poses
-    for finding in chain(poses.findings(), wrong_units(arm, problem)):
+    measured = Measurements.taken(angles, groups, **given)
+    if measured.points is not None:
+        measured = replace(measured, lengths=[], offsets=None)
+    check_measured(arm, measured)
+    poses = measured.poses
+    for finding in chain(poses.findings(), wrong_units(arm, measured)):
         finding.report()
     corrected: Any = None
     if asked is not None:
         asked = asked if len(asked) == len(poses.first) else asked[poses.first]
-        corrected = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
+        corrected = predicted(correction, asked, measured, [arm.probe] * measured.n_tools)
 
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
-    fit = Fit(arm, problem, loss, free, priors, corrected)
+    fit = TableFit(arm, measured, loss, free, priors, corrected)
     before_all = fit.run(np.zeros_like(fit.is_free)).distances().mean()
     before = fit.run(fit.is_free & (fit.kind == "probe_mm")).distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
@@ -242,7 +242,7 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
     if n < 2:
         raise ValueError(_NO_LABELS)
     pairs = Measurements(few, np.arange(n) // 2, joint_types=arm.joint_types)
-    points = Fit(arm, pairs, "cauchy", ["probe"]).run().points()
+    points = TableFit(arm, pairs, "cauchy", ["probe"]).run().points()
     some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
     places: Any = places_of(points[some])
     several = np.bincount(places)[places] > 1
@@ -263,10 +263,10 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
 
 def _settle(fit, correction, asked):
     """Fit again with the correction of the probes that were found, until it stays."""
-    problem = fit.problem
+    measured = fit.measured
     for _ in range(_MOST_MOVES):
-        probes = [fit.arm(tool).probe for tool in range(problem.n_tools)]
-        moved = predicted(correction, asked, problem, probes)
+        probes = [fit.arm(tool).probe for tool in range(measured.n_tools)]
+        moved = predicted(correction, asked, measured, probes)
         if np.abs(moved - fit.correction).max() < _SETTLED_MM:
             return
         fit.correct(moved)

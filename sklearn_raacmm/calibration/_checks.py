@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.calibration._fit import rows_of
+from sklearn_raacmm.calibration._fit import rows_with
 from sklearn_raacmm.measurements import UNITS, angle_faults
 from sklearn_raacmm.utils import Finding
 
@@ -42,7 +42,7 @@ def check_measured(arm, measured):
         Finding("lonely-position", text, positions=names).report()
 
 
-def check_correction(correction, angles, angle_unit, arm):
+def inputs_of_model(correction, angles, angle_unit, arm):
     """Angles as a fitted model takes them; one that cannot predict them is refused."""
     if not hasattr(correction, "predict"):
         raise TypeError(
@@ -61,11 +61,11 @@ def check_correction(correction, angles, angle_unit, arm):
     return angles
 
 
-def predicted(correction, angles, problem, probes):
+def predicted(correction, angles, measured, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
     for tool, probe in enumerate(probes):
-        rows, model = rows_of(problem.tools, tool), correction
+        rows, model = rows_with(measured.tools, tool), correction
         # Only a model of the arm's own causes can be moved to another probe.
         if hasattr(correction, "with_arm"):
             model = model.with_arm(model.arm_.replace(probe=probe))

@@ -46,7 +46,7 @@ _MOST_OUTLIERS = 0.1
 
 def findings_of_fit(fit, result, bare):
     """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
-    numbers = fit.problem.poses.first  # of the rows as they were given
+    numbers = fit.measured.poses.first  # of the rows as they were given
     if not fit.converged:
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
@@ -60,7 +60,7 @@ def findings_of_fit(fit, result, bare):
             "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
         )
         yield Finding("slide-still", text, advice, joints=(i + 1,))
-    yield from _few_rows(fit.problem, result.rank, result.n_free)
+    yield from _few_rows(fit.measured, result.rank, result.n_free)
     kept = numbers[~np.isin(numbers, result.outliers)]  # a pose once, however long it was held
     scatter = float(np.linalg.norm(result.residuals_mm[kept], axis=1).mean())
     for part in (label_findings(fit, result, numbers, scatter), _lengths(fit, result)):
@@ -73,7 +73,7 @@ def findings_of_fit(fit, result, bare):
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
-        held = np.flatnonzero(fit.problem.n_shown == 3)  # no touches
+        held = np.flatnonzero(fit.measured.n_shown == 3)  # no touches
         held = held[thinned(fit.index[held], len(held))]
         turns, rows = fit.nominal_arm.phases(fit.angles[held]), numbers[held]
         yield from moved_positions(result.residuals_mm[rows], turns, result.groups[rows], rows)
@@ -83,20 +83,20 @@ def findings_of_fit(fit, result, bare):
 
 def _lengths(fit, result):
     """Known lengths that disagree, unless cones and table make no sense without them either."""
-    if fit.problem.lengths:
+    if fit.measured.lengths:
         cones = fit.of(lengths=[], offsets=None)
         if not [*_no_such_arm(fit, result, cones.distances().mean())]:
             yield from wrong_lengths(fit, result, cones)
 
 
-def _few_rows(problem, rank, n_free):
+def _few_rows(measured, rank, n_free):
     """The rows cannot carry what is asked of them."""
-    n, spare = problem.n_coordinates, problem.n_coordinates - rank
+    n, spare = measured.n_coordinates, measured.n_coordinates - rank
     if not n_free or spare >= rank:
         return
-    n_points = np.count_nonzero(problem.informative)
+    n_points = np.count_nonzero(measured.informative)
     rows = int(np.ceil((n + rank - spare) / n * n_points))
-    what = "measured points" if problem.points is not None else "groups of points"
+    what = "measured points" if measured.points is not None else "groups of points"
     known = "The noise, and with it every standard deviation, is unknown."
     if spare > 0:
         known = "Noise and standard deviations are hardly known; other poses may be far off."
@@ -175,7 +175,7 @@ def _wrong_table(fit, sd, scatter):
             f"the table says {factor * nominal[i]:.6g}{unit}"
         )
     advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
-    advice += "; if not, look at the known lengths and their unit." if fit.problem.lengths else "."
+    advice += "; if not, look at the known lengths and their unit." if fit.measured.lengths else "."
     if scatter > MUCH_SCATTER_MM:
         advice = (
             f"But with it the points scatter by {scatter:.1f} mm: search_table finds joints "
@@ -209,13 +209,13 @@ def _poses_alike(fit):
     arm, n = fit.arm(), fit.n_table + 3
     is_free = fit.is_free[:n]
     # Of too few rows another finding tells.
-    if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * fit.mask.sum():
+    if not is_free[:-3].any() or fit.measured.n_coordinates < 2 * fit.mask.sum():
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
     points, jac = fit.table_jacobian(angles, fit.x)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
-    if fit.problem.points is None:  # which cannot see the scale
+    if fit.measured.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)
     # What a registration takes away again: base and probe.
     base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]

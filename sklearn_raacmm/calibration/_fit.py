@@ -73,7 +73,7 @@ DOUBTED = {"false_names": _FALSE_NAMES, "n_sd": 0.0}
 _TAIL = 0.9
 
 
-class Fit:
+class TableFit:
     """State of the fit.
 
     The parameters x are the table, scales of what slides, the probe of each tool, and the base
@@ -85,14 +85,14 @@ class Fit:
     """
 
     def __init__(
-        self, arm, problem, loss, free=Arm.TABLE, priors=("auto", "auto", UNKNOWN_PLACE_MM),
+        self, arm, measured, loss, free=Arm.TABLE, priors=("auto", "auto", UNKNOWN_PLACE_MM),
         correction=None,
     ):  # fmt: skip
-        self.nominal_arm, self.problem, self.angles = arm, problem, problem.angles
+        self.nominal_arm, self.measured, self.angles = arm, measured, measured.angles
         self.loss, self.free, self.priors = loss, free, priors
-        self.n_tools, self.n_stations = problem.n_tools, problem.n_stations
+        self.n_tools, self.n_stations = measured.n_tools, measured.n_stations
         # Where points were measured all rows are beside one mean.
-        self.index = np.zeros(len(self.angles), int) if self.n_stations else problem.index
+        self.index = np.zeros(len(self.angles), int) if self.n_stations else measured.index
         self.groups = Groups(self.index)
         n, n_groups = len(self.angles), self.index.max() + 1
         # Blocks of rows, and what sums up the rows of each position in them.
@@ -109,16 +109,16 @@ class Fit:
         self.scale = self._common_scale()
         points, places = self.points(), []  # first guess of every base
         for s in range(self.n_stations):
-            rows = rows_of(problem.stations, s)
-            places.append(align(points[rows], problem.points[rows]))
+            rows = rows_with(measured.stations, s)
+            places.append(align(points[rows], measured.points[rows]))
         self.rotations = np.array([rotation for rotation, _ in places])
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
         self.reset_weights()
 
     def _name_parameters(self):
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
-        arm, slides, problem = self.nominal_arm, self.slides, self.problem
-        probes = in_brackets(problem.tool_labels, self.n_tools)
+        arm, slides, measured = self.nominal_arm, self.slides, self.measured
+        probes = in_brackets(measured.tool_labels, self.n_tools)
         self.names = [f"{f}{i + 1}" for f in Arm.TABLE[:-1] for i in range(arm.n_joints)]
         table = np.concatenate([getattr(arm, name) for name in Arm.TABLE[:-1]])
         is_length = np.array([not name.startswith(ANGLES) for name in self.names])
@@ -183,7 +183,7 @@ class Fit:
 
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
-        if self.problem.features:
+        if self.measured.features:
             # One touch of another feature bends a sphere, where it hardly moves a mean.
             self.weights = self.first_weights()
         self.length_weights = self._new_length_weights()
@@ -191,15 +191,15 @@ class Fit:
 
     def first_weights(self):
         """Weights of the rows by what they touched, without slips; None for measured points."""
-        if self.problem.features:
-            return self.problem.touched.weights(self.points())
+        if self.measured.features:
+            return self.measured.touched.weights(self.points())
         return None if self.n_stations else self.groups.slip_factors(self.points())
 
     def of(self, loss=None, free=None, **changes):
-        """A fit of the same rows that has settled, with some of the problem changed."""
+        """A fit of the same rows that has settled, with some of what was measured changed."""
         correction = changes.pop("correction", self.correction)
-        problem, how = replace(self.problem, **changes), (loss or self.loss, free or self.free)
-        return Fit(self.nominal_arm, problem, *how, self.priors, correction).run()
+        measured, how = replace(self.measured, **changes), (loss or self.loss, free or self.free)
+        return TableFit(self.nominal_arm, measured, *how, self.priors, correction).run()
 
     def arm(self, tool=0):
         return self.nominal_arm.replace(**self._fields(self.x, tool))
@@ -228,7 +228,7 @@ class Fit:
             )
             if self.converged:
                 break
-        if self.problem.features and mask[: -3 * self.n_tools].any():
+        if self.measured.features and mask[: -3 * self.n_tools].any():
             self._take_best_table(mask)
         return self
 
@@ -271,7 +271,7 @@ class Fit:
             columns, left = rows[:, :, :-1], rows[:, :, -1]
             taken = (columns.reshape(-1, len(finite)) @ finite).reshape(columns.shape)
             taken = taken @ columns.swapaxes(1, 2)
-            if self.problem.features:
+            if self.measured.features:
                 basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
             elif not self.n_stations:
@@ -285,15 +285,15 @@ class Fit:
 
     def _weigh(self, spread=None):
         """Standard deviations of the data, and the weights of the rows."""
-        distances, used = self.robust_distances(), self.problem.informative
+        distances, used = self.robust_distances(), self.measured.informative
         seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
         if self.loss == "squared":
-            sigma = np.sqrt(np.mean(seen[used] ** 2) / self.problem.n_shown[used].mean())
+            sigma = np.sqrt(np.mean(seen[used] ** 2) / self.measured.n_shown[used].mean())
         else:
             # Outliers would shift the median to larger ones of the others.
             three = self.as_of_three(seen)
             near = used & (three <= outlier_limit(three[used], 0.0, **DOUBTED))
-            sigma = robust_scale(seen[near], self.problem.n_shown[near])
+            sigma = robust_scale(seen[near], self.measured.n_shown[near])
         self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
 
@@ -303,7 +303,7 @@ class Fit:
         Of k coordinates chi-squared is about :math:`k (1 - 2/9k + z \sqrt{2/9k})^3`, z normal
         (Wilson and Hilferty, Proc. National Academy of Sciences 17, 1931).
         """
-        k, used = self.problem.n_shown, self.problem.informative
+        k, used = self.measured.n_shown, self.measured.informative
         if np.all(k == 3):
             return distances
         sigma = max(robust_scale(distances[used], k[used]), _MIN_SIGMA_MM)
@@ -370,11 +370,11 @@ class Fit:
 
     def located_at(self, x, rows):
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
-        problem, angles, n_table = self.problem, self.angles[rows], self.n_table
+        measured, angles, n_table = self.measured, self.angles[rows], self.n_table
         points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(self.nominal)))
-        tools = None if problem.tools is None else problem.tools[rows]
+        tools = None if measured.tools is None else measured.tools[rows]
         for tool in range(self.n_tools):
-            of, start = rows_of(tools, tool), n_table + 3 * tool
+            of, start = rows_with(tools, tool), n_table + 3 * tool
             points[of], own = self.table_jacobian(angles[of], x, tool)
             jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
@@ -420,8 +420,8 @@ class Fit:
         and the `Whitening`.
         """
         weights, index = self.weights, self.index
-        if self.problem.features:
-            rows = self.problem.touched.linearised(self.points(x), weights)
+        if self.measured.features:
+            rows = self.measured.touched.linearised(self.points(x), weights)
             whitened: Any = Whitening(weights, rows.directions, index, rows.unknowns)
             explained: Any = 0.0
             for part, columns in self.free_columns(x, mask):
@@ -452,7 +452,7 @@ class Fit:
     def _beside_touched(self, x, mask, at):
         """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
         for part, rows in self.free_columns(x, mask):
-            if self.problem.features:
+            if self.measured.features:
                 *_, touched, explained, whitened = at
                 rows = touched.directions[part] @ rows
                 rows -= whitened.moves[part] @ explained[self.index[part]]
@@ -463,17 +463,17 @@ class Fit:
 
     def _beside_points(self, x, mask):
         """The same of measured points. Derivatives by the turn of a base are those after it."""
-        problem, n_table = self.problem, np.count_nonzero(mask[: len(self.nominal)])
+        measured, n_table = self.measured, np.count_nonzero(mask[: len(self.nominal)])
         for part, columns in self.free_columns(x, mask):
             rows = np.insert(columns, [n_table] * 6 * self.n_stations, 0.0, axis=2)
-            stations = None if problem.stations is None else problem.stations[part]
+            stations = None if measured.stations is None else measured.stations[part]
             for s in range(self.n_stations):
-                of, shift = rows_of(stations, s), x[self.base_columns(s)[3:]]
+                of, shift = rows_with(stations, s), x[self.base_columns(s)[3:]]
                 rows[of] = self._rotation(x, s) @ rows[of]
                 first = n_table + 6 * s
                 turns = base_motions(rows[of, :, -1], 1.0)
                 rows[of, :, first : first + 6] = np.roll(turns, 3, axis=2)
-                rows[of, :, -1] += shift - problem.points[part][of]
+                rows[of, :, -1] += shift - measured.points[part][of]
             yield part, rows
 
     def _data(self, x, mask, at):
@@ -499,7 +499,7 @@ class Fit:
         `at` is what was `touched`.
         """
         one, other = np.array([entry[:2] for entry in lengths], dtype=int).reshape(-1, 2).T
-        if not self.problem.features:
+        if not self.measured.features:
             gap = at[0][one] - at[0][other]
             found = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
             slopes = np.einsum("kc,kcp->kp", gap / found[:, None], at[1][one] - at[1][other])
@@ -523,7 +523,7 @@ class Fit:
         at = None if self.n_stations else self.touched(x, mask)
         for _, rows in self._data(x, mask, at):
             yield rows.reshape(-1, rows.shape[2])
-        if self.problem.lengths:
+        if self.measured.lengths:
             yield self.length_rows(at)
         is_free = mask[: len(self.nominal)]
         if with_prior and is_free.any():
@@ -534,7 +534,7 @@ class Fit:
 
     def length_rows(self, at):
         """The rows of the known lengths, as `rows` yields them."""
-        found, slopes, _ = self.known(self.problem.lengths, at)
+        found, slopes, _ = self.known(self.measured.lengths, at)
         sds = self.length_sd / np.sqrt(self.length_weights)
         return np.column_stack([slopes, self._off(found)]) / sds[:, None]
 
@@ -550,16 +550,16 @@ class Fit:
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
-        points, problem = self.points(), self.problem
+        points, measured = self.points(), self.measured
         weights = np.ones(len(points)) if weights is None else weights
-        if problem.features:
-            return problem.touched.linearised(points, weights).residual
+        if measured.features:
+            return measured.touched.linearised(points, weights).residual
         if not self.n_stations:
             blocks = ((part, points[part, :, None]) for part in self.blocks)
             return points - self._means(blocks, weights)[self.index, :, 0]
         for s in range(self.n_stations):
-            rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
-            points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
+            rows, shift = rows_with(measured.stations, s), self.x[self.base_columns(s)[3:]]
+            points[rows] -= (measured.points[rows] - shift) @ self.rotations[s]
         return points
 
     def distances(self):
@@ -575,27 +575,27 @@ class Fit:
 
         And the standard deviations of their ends, mm, which the touches leave.
         """
-        if not self.problem.lengths:
+        if not self.measured.lengths:
             return np.empty(0), np.empty(0)
         none = np.zeros(len(self.x), dtype=bool)
-        found, _, sd_of_ends = self.known(self.problem.lengths, self.touched(self.x, none))
+        found, _, sd_of_ends = self.known(self.measured.lengths, self.touched(self.x, none))
         return self._off(found), sd_of_ends
 
     def _off(self, found):
         """Errors (n,) of lengths as found, mm: of the side of the probe's ball that fits best."""
-        each = zip(found, self.problem.lengths, self.problem.offsets, strict=True)
+        each = zip(found, self.measured.lengths, self.measured.offsets, strict=True)
         return np.array([min(mm - entry[2] - by, key=abs) for mm, entry, by in each])
 
     @property
     def stated_sd(self):
         """Standard deviations (n,) of the known lengths as they are stated, mm."""
-        return np.array([entry[3] for entry in self.problem.lengths], dtype=float)
+        return np.array([entry[3] for entry in self.measured.lengths], dtype=float)
 
     def _new_length_weights(self):
         # A wrong length (one hole of a plate beside the right one) must not bend the arm.
         errors, sd_of_ends = self.lengths_found()
         # Of fewer touches, of one coordinate each, sizes are not as sure as they are stated.
-        self.length_sd = np.hypot(self.stated_sd, sd_of_ends * bool(self.problem.features))
+        self.length_sd = np.hypot(self.stated_sd, sd_of_ends * bool(self.measured.features))
         return WEIGHTS[self.loss](np.abs(errors) / self.length_sd)
 
     def misfit(self, mask):
@@ -645,9 +645,9 @@ class Fit:
         What the table does not explain is much the same in all poses of one position. A position at
         the end of known lengths is therefore no better known than one of its points.
         """
-        mask, lengths = self.mask, self.problem.lengths
+        mask, lengths = self.mask, self.measured.lengths
         covariance = inverse_normal(triangle(self.rows(self.x, mask))[:, :-1])
-        if lengths and not self.problem.features:
+        if lengths and not self.measured.features:
             centres, *_ = at = self.touched(self.x, mask)
             every = np.arange(len(lengths))
             one, other = np.array([entry[:2] for entry in lengths]).T
@@ -680,7 +680,7 @@ class Fit:
             yield (flat - base @ (base.T @ flat)) / self.sigma
             for part, columns in self.free_columns(self.x, every):
                 yield (columns - means[index[part]]).reshape(-1, flat.shape[1]) / self.sigma
-            if self.problem.lengths:
+            if self.measured.lengths:
                 yield self.length_rows(self.touched(self.x, every))
 
         root = triangle(rows())[:, :-1]
@@ -691,7 +691,7 @@ class Fit:
         self._take(x)
 
 
-def rows_of(numbers, one):
+def rows_with(numbers, one):
     """Rows of one tool or station, by the number of each row (n,), or None: all are."""
     return slice(None) if numbers is None else np.flatnonzero(numbers == one)
 

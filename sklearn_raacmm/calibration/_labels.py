@@ -84,12 +84,12 @@ def label_findings(fit, result, numbers, scatter) -> Iterator[Finding]:
 
     `numbers` (n,) are what the rows are called, `scatter` is the mean of poses in mm.
     """
-    if fit.problem.points is None:
-        labels = fit.problem.labels
+    if fit.measured.points is None:
+        labels = fit.measured.labels
         far = np.isin(numbers, result.outliers)
-        if fit.problem.features:
-            known = fit.points(), labels.tolist(), fit.problem.lengths
-            yield from fit.problem.touched.findings(*known)
+        if fit.measured.features:
+            known = fit.points(), labels.tolist(), fit.measured.lengths
+            yield from fit.measured.touched.findings(*known)
             yield from _no_readings(fit.angles, far, numbers)
             return
         right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
@@ -105,7 +105,7 @@ def _right_labels(fit):
 
     None where rows scatter by no less with them, or most have another one.
     """
-    index, sigma = fit.problem.index, fit.sigma
+    index, sigma = fit.measured.index, fit.sigma
     # The probe may not be known: as most of the labels have it.
     codes = places_of(fit.of(free=["probe"], loss="cauchy").points())
     for _ in range(2):
@@ -125,7 +125,7 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
     `right` (n,) index the `labels` by geometry; -1 is no place that has a label. Where it is None,
     rows that are `far` (n,) may be at another place, of points that scatter by `sigma`, mm.
     """
-    codes = fit.problem.index
+    codes = fit.measured.index
     many = right is not None
     right = right if many else _other_labels(fit.points(), codes, far, sigma)
     rows = np.flatnonzero(codes != right)

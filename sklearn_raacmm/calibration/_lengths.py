@@ -34,7 +34,7 @@ def wrong_lengths(fit, result, bare):
 
     `bare` is the fit without them.
     """
-    lengths, labels, mask = fit.problem.lengths, fit.problem.labels, bare.mask
+    lengths, labels, mask = fit.measured.lengths, fit.measured.labels, bare.mask
     best = [_BEST_MM + _BEST_SHARE * entry[2] for entry in lengths]
     if wrong := [entry for entry, sd in zip(lengths, best, strict=True) if entry[3] < sd]:
         said = ", ".join(f"{_ends(one, labels)} to {one[3]:g} mm" for one in wrong)
@@ -48,7 +48,7 @@ def wrong_lengths(fit, result, bare):
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
         at = bare.touched(bare.x, mask)
-        causes, off = _causes(fit.problem, at, covariance, bare)
+        causes, off = _causes(fit.measured, at, covariance, bare)
     if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
@@ -62,7 +62,7 @@ def wrong_lengths(fit, result, bare):
         )
         yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
-    yield from disagreeing(fit.problem, result)
+    yield from disagreeing(fit.measured, result)
 
 
 def disagreeing(measured: Measurements, result: CalibrationResult) -> Iterator[Finding]:
@@ -81,18 +81,18 @@ def disagreeing(measured: Measurements, result: CalibrationResult) -> Iterator[F
         yield Finding("wrong-length", text, size_mm=np.abs(errors).max())
 
 
-def _causes(problem, at, covariance, bare):
+def _causes(measured, at, covariance, bare):
     """The likeliest causes of such lengths, (code, words) each, and by how much these are off, mm.
 
     None where that they are right is likelier. `at` is what was touched, of the fit without
     lengths, and `covariance` is that of its parameters.
     """
-    lengths, labels = problem.lengths, problem.labels
+    lengths, labels = measured.lengths, measured.labels
     given, sd = np.array([entry[2:] for entry in lengths], dtype=float).T
     n, explained = len(given), []
     found, slope, sd_of_ends = bare.known(lengths, at)
     # For the centre of the probe, of the sides that fit best.
-    sides = zip(found - given, problem.offsets, strict=True)
+    sides = zip(found - given, measured.offsets, strict=True)
     given = given + [by[np.argmin(np.abs(off - by))] for off, by in sides]
     covariance = slope @ covariance @ slope.T + np.diag(np.square(sd_of_ends))
     left, every = given - found, np.arange(n)
@@ -108,7 +108,9 @@ def _causes(problem, at, covariance, bare):
     for k in every:
         value = log_likelihood(left, among=every[every != k])
         said = f"{_ends(lengths[k], labels)} may be {found[k]:.6g} mm, not {given[k]:g}"
-        said += "" if problem.features else _other_ends(lengths[k], at[0], labels, covariance[k, k])
+        said += (
+            "" if measured.features else _other_ends(lengths[k], at[0], labels, covariance[k, k])
+        )
         price = np.log(2 * bare.arm().reach_mm) + np.log(n)
         explained.append((value - price, ("wrong-length", said)))
     of_all = [("all lengths of the table may be wrong", _TABLE * found)]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sklearn_raacmm.calibration._fit import rows_of
+from sklearn_raacmm.calibration._fit import rows_with
 from sklearn_raacmm.measurements import Explanation, base_motions, best_split
 from sklearn_raacmm.utils import Finding
 
@@ -37,10 +37,10 @@ def moved_set_up(fit, numbers) -> Iterator[Finding]:
 
     What was given as one station may be two. `numbers` (n,) are what the rows are called.
     """
-    problem = fit.problem
-    if problem.points is None or problem.n_tools > 1:
+    measured = fit.measured
+    if measured.points is None or measured.n_tools > 1:
         return
-    some = thinned(problem.stations, len(fit.angles))
+    some = thinned(measured.stations, len(fit.angles))
     points, columns = fit.located_at(fit.x, some)
     columns, left, numbers = columns[:, :, fit.is_free], fit.residuals()[some], numbers[some]
     ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])  # of the priors, in the normal matrix
@@ -48,9 +48,9 @@ def moved_set_up(fit, numbers) -> Iterator[Finding]:
     # A tool moves with the last link.
     turns = fit.arm().frames(fit.angles[some])[:, -1, :3, :3]
     effects = {"stations": base_motions(points, np.abs(points).max()), "tools": turns}
-    every, n_stations = np.arange(len(left)), problem.n_stations
-    stations = None if problem.stations is None else problem.stations[some]
-    of_stations = [every[rows_of(stations, one)] for one in range(n_stations)]
+    every, n_stations = np.arange(len(left)), measured.n_stations
+    stations = None if measured.stations is None else measured.stations[some]
+    of_stations = [every[rows_with(stations, one)] for one in range(n_stations)]
     bases = np.zeros((*left.shape, n_stations, 6))
     for one, own in enumerate(of_stations):
         bases[own, :, one] = effects["stations"][own]

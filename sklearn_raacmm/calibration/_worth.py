@@ -33,8 +33,8 @@ _OPEN = np.sqrt(3.0)
 
 def result_of(fit, given, before):
     """Everything that is to be known of a fit that has settled, of rows as they were given."""
-    problem, pose = fit.problem, fit.problem.poses.pose
-    stations = in_brackets(problem.station_labels, problem.n_stations)
+    measured, pose = fit.measured, fit.measured.poses.pose
+    stations = in_brackets(measured.station_labels, measured.n_stations)
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
     for s, rotation in enumerate(fit.rotations):
@@ -43,7 +43,7 @@ def result_of(fit, given, before):
         bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.as_of_three(fit.robust_distances())
-    informative = robust[problem.informative]
+    informative = robust[measured.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
     doubtful = robust > min(limit, outlier_limit(informative, fit.sigma, **DOUBTED))
@@ -53,14 +53,14 @@ def result_of(fit, given, before):
         limit = min(limit, float(fit.robust_distances()[outliers].min()))
     errors, sd_of_ends = fit.lengths_found()
     # What the table does not explain is much the same in all touches of a feature.
-    common = fit.sigma * bool(problem.features)
+    common = fit.sigma * bool(measured.features)
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(names),
         nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
         prior_sd={kind: float(sd) for kind, sd in zip(fit.kind, fit.prior_sd, strict=True)},
-        n_coordinates=max(problem.n_coordinates, 0),
+        n_coordinates=max(measured.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
@@ -71,10 +71,10 @@ def result_of(fit, given, before):
         outliers=rows,
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0)[pose],
-        groups=None if fit.n_stations else problem.labels[problem.index[pose]],
-        features=problem.stated,
-        arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
-        bases=dict(zip(problem.station_labels, bases, strict=False)),
+        groups=None if fit.n_stations else measured.labels[measured.index[pose]],
+        features=measured.stated,
+        arms={label: fit.arm(i) for i, label in enumerate(measured.tool_labels)},
+        bases=dict(zip(measured.station_labels, bases, strict=False)),
         base_rotation=bases[0][0] if bases else None,
         base_translation=bases[0][1] if bases else None,
         converged=fit.converged,
@@ -105,7 +105,7 @@ def _identified(fit, names):
     scale_sd = float(np.hypot(corrected, np.linalg.norm(larger)))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
     scale_is_open = prior > 0 and corrected > _IDENTIFIED * prior
-    if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
+    if seen["rank"] and fit.measured.n_coordinates <= seen["rank"]:  # nothing to tell noise from
         sd[mask], scale_sd, corrected = np.nan, np.nan, np.nan
     is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
     unidentified = tuple(name for name, is_in in zip(names, is_open, strict=True) if is_in)
@@ -129,7 +129,7 @@ def _observability(root, fit, names, prior_sd, unit):
     rank = int(np.sum(values > _RANK * values.max(initial=0.0)))
     values = values[:rank]
     condition = np.inf if rank < len(names) else 1.0
-    index, n_points = 0.0, len(fit.angles) + len(fit.problem.lengths) / 3
+    index, n_points = 0.0, len(fit.angles) + len(fit.measured.lengths) / 3
     if rank:
         condition *= float(values[0] / values[-1])
         index = float(np.exp(np.log(values).mean()) / np.sqrt(n_points))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.correction._condition import Posterior, Whitened, narrowed, thin
+from sklearn_raacmm.correction._posterior import ModelWhitening, Posterior, narrowed, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
     new_rows,
@@ -460,6 +460,6 @@ def _log_evidence(linear, half, rows, noise_sd):
     every = whitened.deviations(np.concatenate([left, columns @ half, place], axis=2))
     left, *seen = every.reshape(-1, every.shape[2]).T / noise_sd
     n = 3 * (len(rows.X) - (0 if rows.codes is None else rows.codes.max() + 1))
-    whiten = Whitened(np.transpose(seen), np.zeros((len(left), 0)), n)
+    whiten = ModelWhitening(np.transpose(seen), np.zeros((len(left), 0)), n)
     square = float(np.square(whiten(left)).sum())
     return -0.5 * square - whiten.log_root - n * float(np.log(noise_sd))

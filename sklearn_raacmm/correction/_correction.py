@@ -19,11 +19,11 @@ from sklearn.utils import check_random_state
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import as_prior, doubts_of
-from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
+from sklearn_raacmm.correction._suspects import named_changes
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, Rows, judge, shoulder as _shoulder
 from sklearn_raacmm.measurements import Measurements, given_causes, position_residuals

@@ -18,10 +18,10 @@ from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
 from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
 from sklearn_raacmm.correction._table_search import (
-    ask_for_the_hand,
+    ask_whether_mirrored,
     search_table,
     shifted_rows,
-    taken,
+    with_change,
 )
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import Measurements, drift_of, moved_positions, within_turn
@@ -208,7 +208,7 @@ def learn_correction(
         labels = None if angles.labels is None else angles.labels[angles.index]
         raw, angle_unit = (angles.angles, labels, angles.points), "rad"
     for code in codes:
-        arm = taken(arm, code, (*raw, angle_unit))
+        arm = with_change(arm, code, (*raw, angle_unit))
 
     def measured():
         """What was measured, of a single-point test without labels at the places of its points."""
@@ -231,15 +231,15 @@ def learn_correction(
         calibration = _calibrated(data, raw[0], angle_unit, accept)
         if codes and "mirror-image" not in listed("accept", accept):
             with Finding.numbered(Finding.row_numbers(data.rows)):
-                ask_for_the_hand(given_arm, arm, *data.as_given(raw[0]), angle_unit)
-        data, outliers = data.seen_by(calibration).beside_a_model(calibration)
+                ask_whether_mirrored(given_arm, arm, *data.as_given(raw[0]), angle_unit)
+        data, outliers = data.seen_by(calibration).without_outliers(calibration)
         folds = folds_of(data, outliers, cv)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         calibration = data.at_stations(model, calibration, rows)
         fitted, noise = data.fit(model, calibration, rows)
         parts = data.along_vertical_of(fitted)
         scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)
-        _say_what_moved(data, calibration, fitted, rows)
+        _report_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
             raise ValueError(
@@ -260,7 +260,7 @@ def learn_correction(
     return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
 
 
-def _say_what_moved(data, calibration, model, rows):
+def _report_what_moved(data, calibration, model, rows):
     """Say which positions moved, and by how much the run drifted, of what a model leaves.
 
     Touches of surfaces, each at a place of its own, cannot say so.

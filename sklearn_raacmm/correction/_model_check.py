@@ -18,9 +18,9 @@ from scipy.linalg import orth
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.correction._change import day
-from sklearn_raacmm.correction._changes import NOISE, Table, likeliest_change
-from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
+from sklearn_raacmm.correction._posterior import UNSEEN, ModelWhitening, score_tests
 from sklearn_raacmm.correction._rows import Expected, new_rows, place_columns
+from sklearn_raacmm.correction._suspects import NOISE, Suspects, likeliest_change
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
     Finding,
@@ -231,14 +231,15 @@ def check_correction(
         raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
     rows = new_rows(model, X, y, groups, lengths, features)
     correction = model.predict(X)
-    table = Table(Expected(model.linear_model_, rows).widened(), correction)
-    rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
-    linear = table.expected.linear
+    suspects = Suspects(Expected(model.linear_model_, rows).widened(), correction)
+    rows, shown, known, seen = suspects.rows, suspects.shown, suspects.known, suspects.seen
+    linear = suspects.expected.linear
     place = place_columns(linear.arm, rows.X, rows.codes is None)
     kept = np.repeat(["probe" in refitted, "base" in refitted], [3, 6])
     place = place[:, :, kept[: place.shape[2]]]
-    nuisance, residual, correction = shown.flat(place), table.residual, correction[~table.slipped]
-    whiten = Whitened(known, nuisance, shown.n_coordinates)
+    nuisance, residual = shown.flat(place), suspects.residual
+    correction = correction[~suspects.slipped]
+    whiten = ModelWhitening(known, nuisance, shown.n_coordinates)
     if whiten.freedom < 3:
         n = int(shown.rank.sum())
         raise ValueError(
@@ -253,19 +254,19 @@ def check_correction(
     left, whole = whiten(residual), whiten(already)[:, 0]
     if whole @ left > 0.5 * (whole @ whole):  # likelier by all of the correction than by none
         seen["corrected already"] = already
-        table.causes["corrected already"] = -correction[:, :, None]
+        suspects.causes["corrected already"] = -correction[:, :, None]
     tests = score_tests(seen, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
     # Of 560 knocks of 10 arc seconds equal shares found 487, these 497 (arms with other seeds than
     # those of ``benchmarks/bench_check.py kinds``): misfit looks like causes of many numbers.
     shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
     shares /= shares.sum()
     rate = false_alarm_rate * shares[-1]
-    mean, chart = _chart(linear, table, nuisance, whiten, freedom, rate)
+    mean, chart = _chart(linear, suspects, nuisance, whiten, freedom, rate)
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
     # Of what the rows can show.
-    spread = np.square(table.expected.std).sum(axis=1)
+    spread = np.square(suspects.expected.std).sum(axis=1)
     usual = rows.rank / 3 * (spread + 3 * linear.noise_variance)
     usual_mm = float(np.sqrt(usual.mean()))
     if not holds:
@@ -276,9 +277,9 @@ def check_correction(
         cause = seen[suspect]
         size = np.linalg.lstsq(whiten(cause), whiten(residual), rcond=UNSEEN)[0]
         taken = np.linalg.lstsq(whiten.scaled(nuisance), whiten.scaled(cause), rcond=UNSEEN)[0]
-        size_mm = _rms(shown, (table.causes[suspect] - place @ taken) @ size)
+        size_mm = _rms(shown, (suspects.causes[suspect] - place @ taken) @ size)
     elif suspect == NOISE:  # as much as all exceed what is expected of them
-        size_mm = float(np.sqrt(max(np.square(_rms(shown, table.left)) - usual_mm**2, 0.0)))
+        size_mm = float(np.sqrt(max(np.square(_rms(shown, suspects.left)) - usual_mm**2, 0.0)))
     matters = size_mm > _WORTH * usual_mm
     advice = _ADVICE.get(suspect, _ADVICE["arm"])
     if not (holds or matters):
@@ -288,7 +289,7 @@ def check_correction(
         )
     record = {"date": day(date), "n_poses": len(rows.X)}
     record |= {**chart, "p_value": p_value, "suspect": suspect}
-    far = tuple(np.flatnonzero(table.slipped).tolist())
+    far = tuple(np.flatnonzero(suspects.slipped).tolist())
     return CorrectionCheck(
         holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, far, record
     )
@@ -300,14 +301,14 @@ def _rms(shown, vectors):
     return float(np.sqrt(np.square(about).sum() / len(vectors)))
 
 
-def _chart(linear, table, nuisance, whiten, freedom, rate):
+def _chart(linear, suspects, nuisance, whiten, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
     whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. The
     `nuisance` has been fitted. `whiten` is by what the model expects.
     """
-    n, rng = table.left.size, np.random.default_rng(0)
+    n, rng = suspects.left.size, np.random.default_rng(0)
     basis = orth(nuisance[:n])
     record, tests = {}, []
 
@@ -315,8 +316,8 @@ def _chart(linear, table, nuisance, whiten, freedom, rate):
         values = values[:n] - basis @ (basis.T @ values[:n])
         return linear.noise_sd * np.linalg.norm(values.reshape(n // 3, 3, -1), axis=1)
 
-    found = distances(table.residual[:, None])
-    noise = table.shown(rng.normal(size=(n // 3, 3, _DRAWS))).reshape(-1, _DRAWS)
+    found = distances(suspects.residual[:, None])
+    noise = suspects.shown(rng.normal(size=(n // 3, 3, _DRAWS))).reshape(-1, _DRAWS)
     drawn = distances(whiten.as_known(rng.normal(size=noise.shape)) + noise)
     for name, of in (("mean", np.mean), ("range", np.ptp)):
         square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])

@@ -255,7 +255,7 @@ class Data:
             return None
         return np.array([calibration.arms[tool].probe for tool in self.tools[rows]])
 
-    def beside_a_model(self, calibration):
+    def without_outliers(self, calibration):
         """The same without lengths that disagree beside what a model explains, and outliers.
 
         These are rows far from where the calibrated arm has them, which the model, of low orders

@@ -265,7 +265,7 @@ def _rarer_changes(arm, measured, others):
             change = f"{name} as an axis that moves the base by ({by}) mm a unit"
             option = "--points without that movement"
             yield change, option, arm, {"points": points - np.outer(x, way)}
-    other = taken(arm, "zeros", measured)
+    other = with_change(arm, "zeros", measured)
     turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
     shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]
     yield f"the zeros turned, {', '.join(shown)} degrees", "--take zeros", other, {}
@@ -281,7 +281,7 @@ def _few_rows(n, positions, points):
     return rows, None, np.asarray(points, dtype=float)[rows]
 
 
-def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
+def with_change(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
     """The arm changed as a finding proposes, see `TableChange.options`.
 
     `measured` are angles, positions, points and the unit of the angles: "zeros" are found there.
@@ -321,7 +321,7 @@ def _turned(arm, degrees):
     return np.where(degrees, np.angle(np.exp(1j * offset)), arm.theta_offset)
 
 
-def ask_for_the_hand(
+def ask_whether_mirrored(
     given: Arm, arm: Arm, angles: Any, positions: Any, points: Any, angle_unit: str
 ) -> None:
     """Say that what was taken may be the mirror image of the arm, if the data cannot tell."""

@@ -23,15 +23,14 @@ from sklearn_raacmm.correction._change import (
     day,
     of_named,
 )
-from sklearn_raacmm.correction._changes import named_changes
-from sklearn_raacmm.correction._condition import (
+from sklearn_raacmm.correction._posterior import (
     NOISE_LOG_SD,
     TAU,
     TAU_LOG_SD,
     Evidence,
+    ModelWhitening,
     Posterior,
-    Whitened,
-    rows_of,
+    weighted_rows,
 )
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
@@ -40,6 +39,7 @@ from sklearn_raacmm.correction._rows import (
     place_columns,
     why_too_few,
 )
+from sklearn_raacmm.correction._suspects import named_changes
 from sklearn_raacmm.error_model import LEAST_POSITIONS, ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import Explanation, base_motions, of_own_points
 from sklearn_raacmm.utils import Finding, Groups, one_blas_thread, one_warning, param_checks
@@ -358,7 +358,7 @@ def _gain_of_another(expected, named):
     after = Posterior(linear, changes, shown, columns, place, LOG_NOISE)
     weights = shown.weights * after.row_weight
     every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
-    flat, left = rows_of(every, left, weights)
+    flat, left = weighted_rows(every, left, weights)
     n, p, q = int(shown.rank[weights > 0].sum()) - shown.n_unknown, len(size), place.shape[2]
     own, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
 
@@ -418,7 +418,7 @@ class _Spread:
             columns = (expected.columns * knocked)[:, :, knocked > 0]
             known = np.hstack([known, shown.flat(columns)])
         place = shown.flat(place_columns(linear.arm, rows.X, rows.codes is None))
-        self.shown, self.whiten = shown, Whitened(known, place, shown.n_coordinates)
+        self.shown, self.whiten = shown, ModelWhitening(known, place, shown.n_coordinates)
         self.freedom = self.whiten.freedom
         changes = self.whiten(shown.flat(expected.columns * changes_of(linear)[1]))
         size, self.axes = np.linalg.eigh(changes @ changes.T)

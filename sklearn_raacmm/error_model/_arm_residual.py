@@ -22,13 +22,13 @@ from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, fit_rows, offered_h
 from sklearn_raacmm.error_model._left_out import (
     Fading,
     Judgement,
-    beside_table,
+    centre_beside_table,
     find_fading,
     judge,
     leave_out,
-    near_and_far,
+    share_near_and_far,
     warn_where_unknown,
-    with_honest_intervals,
+    with_interval_scales,
     with_students_quantile,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
@@ -299,20 +299,20 @@ class ArmResidualRegressor(PointCorrectionMixin):
             with_constants = with_constants._replace(y=rows.y)
         rows = fitted.rows
         left_out = leave_out(fitted, positions) if self._judged else None
-        model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
+        model = with_interval_scales(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
-        centre = beside_table(fitted.rows)
+        centre = centre_beside_table(fitted.rows)
         widening = model.std_scale if model.n_positions >= LEAST_POSITIONS else np.inf
         fading = find_fading(rows.y, robust, self.fade, widening, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
             judged = rows.y, *left_out[:2], fading, robust, centre, positions
             fading, self.judgement_ = judge(*judged)
-            fading = near_and_far(fading, fitted, left_out, positions, centre)
+            fading = share_near_and_far(fading, fitted, left_out, positions, centre)
             shares = fading.found(left_out[1])
             if fading.most > 0 and shares.min() < 1:
                 of_shares = left_out, with_constants, positions, shares[:, None]
-                model = with_honest_intervals(model, *of_shares)
+                model = with_interval_scales(model, *of_shares)
         if left_out is not None:
             model = with_students_quantile(model)
         self.fading_: Fading = fading

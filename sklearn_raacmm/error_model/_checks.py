@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._columns import CAUSES, parsed
+from sklearn_raacmm.error_model._columns import CAUSES, parse_extra
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import (
     Features,
@@ -191,7 +191,9 @@ def poses_of(rows, extra):
     """
     n_joints = rows.arm.n_joints
     kinds = [
-        n_joints + i for i, name in enumerate(extra) if parsed(name, n_joints)[0] == "direction"
+        n_joints + i
+        for i, name in enumerate(extra)
+        if parse_extra(name, n_joints)[0] == "direction"
     ]
     kinds += range(n_joints + len(extra), rows.X.shape[1])
     codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
@@ -212,7 +214,7 @@ def check_extra(extra: str | Iterable[str], n_joints: int = _MOST_JOINTS) -> Any
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
     names = tuple(extra)
-    found = [parsed(name, n_joints) for name in names]
+    found = [parse_extra(name, n_joints) for name in names]
     for i, one in enumerate(found):
         if one in found[:i]:
             raise ValueError(f"extra names {names[i]!r} twice.")

@@ -241,7 +241,7 @@ def _temperature(arm, name, by, mean):
 
     A length grows in proportion to itself: a coefficient of 1 is one arc second in rad, 4.8 ppm.
     """
-    _, joint = parsed(name, arm.n_joints)
+    _, joint = parse_extra(name, arm.n_joints)
     of_joint = {f"{field}{joint + 1}" for field in ("a", "d", "theta_offset", "scale")}
     if joint == arm.n_joints - 1:
         of_joint |= {"probe_x", "probe_y", "probe_z"}
@@ -286,13 +286,13 @@ def _base(arm, name, by, reference):
 
 def _of_extra(arm, extra):
     """What the columns of X after the angles do."""
-    if any(parsed(name, arm.n_joints)[0] in ("force", "payload") for name, _ in extra):
+    if any(parse_extra(name, arm.n_joints)[0] in ("force", "payload") for name, _ in extra):
         # Turns of each frame about each of its axes, by the torque of a force on the probe.
         for frame, axis in product(range(arm.n_joints + 1), range(3)):
             name = f"force bends frame {frame} about {'xyz'[axis]}"
             yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / arm.reach_mm)
     for by, (name, reference) in enumerate(extra):
-        kind, joint = parsed(name, arm.n_joints)
+        kind, joint = parse_extra(name, arm.n_joints)
         if arm.up_frame and kind in ("payload", "base"):
             raise ValueError(
                 f"extra names {name!r}, which needs a vertical that stands still in the base: as "
@@ -345,7 +345,7 @@ def _lengths(arm):
     return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
 
 
-def parsed(name, n_joints):
+def parse_extra(name, n_joints):
     """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all."""
     found = _NAME.fullmatch(name.strip()) if isinstance(name, str) else None
     if found is None:
@@ -445,11 +445,11 @@ class Root:
 
 def columns_of(arm: Arm, terms: Terms) -> "Columns":
     """Columns of an arm, which are made once."""
-    return _alone(arm, *terms[1:]).with_harmonics(terms.harmonics)
+    return _without_harmonics(arm, *terms[1:]).with_harmonics(terms.harmonics)
 
 
 @lru_cache(maxsize=64)
-def _alone(arm, *causes):
+def _without_harmonics(arm, *causes):
     """Columns without harmonics; `causes` are the other fields of `Terms`."""
     return Columns(arm, Terms(np.empty((0, 2), dtype=int), *causes))
 
@@ -514,7 +514,7 @@ class Columns:
         """Force on the probe in the base frame by one of each extra column, (n_extra, 3)."""
         forces = np.zeros((len(self.terms.extra), 3))
         for force, (name, _) in zip(forces, self.terms.extra, strict=True):
-            kind, axis = parsed(name, self.arm.n_joints)
+            kind, axis = parse_extra(name, self.arm.n_joints)
             if kind == "force":
                 force[axis] = 1.0
             elif kind == "payload":  # a weight pulls against the vertical

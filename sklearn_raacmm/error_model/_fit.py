@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model._columns import (
     SMOOTH,
     Columns,
     columns_of,
-    parsed,
+    parse_extra,
 )
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
 from sklearn_raacmm.error_model._sums import (
@@ -100,7 +100,7 @@ _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**
 # Steps of the other variances at each, and rounds with a fit at what was found
 # (``benchmarks/bench_few_poses.py --constants``). The evidence has one top over the sizes, as that
 # of a variance has as a rule: where it has fallen by so many nats, larger constants are not tried.
-_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(0.0, -4.5, -0.5), 3, 2
+_RIDGES, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(0.0, -4.5, -0.5), 3, 2
 _FAR_BELOW = 20.0
 # Fits along another vertical at most: of a direction that is far off a fit has taken poses for
 # outliers.
@@ -226,26 +226,26 @@ def fit_rows(rows, positions, columns, with_field, up=None):
     vertical, it is `up` of their `Terms`. Returns a `Fit`, whose rows are those given less their
     constants, or with positions of which nothing is known.
     """
-    terms, known, looked, turned = columns.terms, np.inf, 0, 0
+    terms, ridge, looked, turned = columns.terms, np.inf, 0, 0
     columns = columns if up is None else columns_of(rows.arm, terms._replace(up=up))
     # A force that is always there is not told from gravity in its direction.
-    forced = any(parsed(name, rows.arm.n_joints)[0] == "force" for name, _ in terms.extra)
+    forced = any(parse_extra(name, rows.arm.n_joints)[0] == "force" for name, _ in terms.extra)
     may_turn = up is None and terms.gravity and not forced
     n_positions = 0 if positions is None or rows.codes is not None else int(positions.max()) + 1
     may_differ = LEAST_POSITIONS <= n_positions <= len(rows.y) / 2
     while True:
-        given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
+        given = rows if np.isinf(ridge) else rows._replace(codes=positions, ridge=ridge)
         fitted = Fit(given, columns, with_field)
         rows = rows._replace(noise=fitted.rows.noise, root=fitted.rows.root)
         if may_differ and looked < _CONSTANT_ROUNDS:
-            last, known, looked = known, _known_of_constants(rows, positions, fitted), looked + 1
-            if known != last:
+            last, ridge, looked = ridge, _ridge_of_constants(rows, positions, fitted), looked + 1
+            if ridge != last:
                 continue
         if not (may_turn and turned < _TURNS and (found := better_vertical(fitted))):
             break
         columns, turned = columns_of(rows.arm, terms._replace(up=found)), turned + 1
         # Along the other vertical gravity was noise, and perhaps constants.
-        rows, known, looked = rows._replace(noise=None, root=rows.shown), np.inf, 0
+        rows, ridge, looked = rows._replace(noise=None, root=rows.shown), np.inf, 0
     if turned:
         shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
         where = f"frame {frame}" if (frame := rows.arm.up_frame) else "the base frame"
@@ -255,12 +255,12 @@ def fit_rows(rows, positions, columns, with_field, up=None):
         )
         advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
         Finding("vertical", said, advice).report()
-    return fitted if np.isinf(known) else _less_constants(rows, positions, fitted, known)
+    return fitted if np.isinf(ridge) else _less_constants(rows, positions, fitted, ridge)
 
 
-def _less_constants(rows, positions, fitted, known):
+def _less_constants(rows, positions, fitted, ridge):
     """A fit whose rows are those given less the constants of their positions, which are named."""
-    whitened = rows._replace(codes=positions, known=known).whitening(fitted.pose_weight)
+    whitened = rows._replace(codes=positions, ridge=ridge).whitening(fitted.pose_weight)
     left = rows.y - fitted.model.predict(rows.X)[0]
     constants = whitened.unknowns(left[:, :, None])[:, :, 0]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
@@ -278,16 +278,16 @@ def _less_constants(rows, positions, fitted, known):
     weight = "doubt" if size > 2 * scatter else "note"
     if scatter > ROUNDED * rows.arm.reach_mm:  # else there is nothing to tell them from
         Finding("constants-of-positions", said, advice, weight, size_mm=size).report()
-    if known:
+    if ridge:
         fitted.rows = rows._replace(y=rows.y - constants[positions])
     return fitted
 
 
-def _known_of_constants(rows, positions, fitted):
+def _ridge_of_constants(rows, positions, fitted):
     """Noise variance over that of the constants, by the evidence of what a fit has chosen.
 
     Infinite: there are none. With W the weight of a position its constant takes
-    ``log(1 + W / known) / 2`` of the log evidence, for x, y and z each. Their variance is one more
+    ``log(1 + W / ridge) / 2`` of the log evidence, for x, y and z each. Their variance is one more
     number, which costs half the logarithm of how many there are (Schwarz).
 
     0: the means of the positions say nothing of the arm, as those of deviations from a mean, a
@@ -302,29 +302,29 @@ def _known_of_constants(rows, positions, fitted):
     assert of_positions is not None
     n, n_observations = precision.size, 3.0 * rows.weights.sum()
 
-    def evidence(known):
-        share = precision / np.maximum(precision + known, _TINY)
+    def evidence(ridge):
+        share = precision / np.maximum(precision + ridge, _TINY)
         left = less_constants(gram, of_positions, share)
-        n_left = n_observations if known else n_observations - n
+        n_left = n_observations if ridge else n_observations - n
         sums = Sums.of_gram(left, len(state.pairs), n_left)
-        problem = Problem(sums if known else without_motions(sums, few), structures)
+        problem = Problem(sums if ridge else without_motions(sums, few), structures)
         found = problem.with_variances(problem.with_lines(state, lines), _CONSTANT_STEPS)
         return found.log_evidence
 
     found = {np.inf: evidence(np.inf)}
-    for known in _KNOWN.tolist():
-        taken = 0.5 * np.log1p(precision / known).sum() + 0.5 * np.log(n)
-        found[known] = evidence(known) - taken
-        if found[known] < max(found.values()) - _FAR_BELOW:
+    for ridge in _RIDGES.tolist():
+        taken = 0.5 * np.log1p(precision / ridge).sum() + 0.5 * np.log(n)
+        found[ridge] = evidence(ridge) - taken
+        if found[ridge] < max(found.values()) - _FAR_BELOW:
             break
     squares = np.square(of_positions[:, :, -1])
     least = _LEAST_MEANS * gram[-1, -1] / n_observations
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
     found[0.0] = evidence(0.0) - taken - _PRICE_OF_DEVIATIONS
-    known = max(found, key=found.__getitem__)
+    ridge = max(found, key=found.__getitem__)
     # Constants that are no larger than the noise are none.
-    return np.inf if known == _KNOWN[0] else known * weight
+    return np.inf if ridge == _RIDGES[0] else ridge * weight
 
 
 class Fit:
@@ -372,7 +372,7 @@ class Fit:
         self._search()
         if self.structures.share is not None:
             self._sum_up_changed()
-            found = self._beside_field()
+            found = self._with_field_if_worth()
             if found.with_field:
                 self.state: Any = found
                 self._settle()
@@ -405,7 +405,7 @@ class Fit:
         self._settle()
 
     @stage("variance of the field")
-    def _beside_field(self):
+    def _with_field_if_worth(self):
         """The state beside the field, whose size is found with sums of the field alone."""
         state, problem = self.state, Problem(self.sums, self.structures)
         pairs = problem.pairs_and_shares(state.lines, True)[0]
@@ -415,7 +415,7 @@ class Fit:
         else:  # rows of the Gram matrix of all candidates cost more than sums of these
             some = self.rows.weighted(self.summed).sums(few)
         alone = state._replace(lines=lines, pairs=lines)
-        return problem.beside_field(state, Problem(some, structures), alone)
+        return problem.with_field_if_worth(state, Problem(some, structures), alone)
 
     def of_pairs(
         self, lines: np.ndarray, pairs: np.ndarray
@@ -515,7 +515,7 @@ def model_of(rows, columns, state):
         noise_of_rows=state.noise_variance * rows.noise.of_rows,
         lever_mm=rows.noise.lever_mm,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
-        offsets=rows.codes is not None and not rows.known,
+        offsets=rows.codes is not None and not rows.ridge,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         seen=NOTHING_SEEN,
@@ -590,7 +590,7 @@ def _left_of_gravity(rows, columns, loads, state):
         return np.concatenate([columns.at(X), *of_gravity], axis=2)
 
     gram = less_constants(*explicit_gram(rows, columns_at)[:2])
-    if rows.codes is not None and not rows.known and columns.terms.kinematics:
+    if rows.codes is not None and not rows.ridge and columns.terms.kinematics:
         motions = motions_of(columns.alone)
         keep = np.eye(len(gram))
         keep[n_waves:n, n_waves:n] -= motions @ motions.T

@@ -219,7 +219,7 @@ def judge(
     return replace(fading, most=most), judgement
 
 
-def beside_table(rows):
+def centre_beside_table(rows):
     """`centre`, as `judge` takes it, of rows that the arm was calibrated with.
 
     Of touches the calibration has taken out what its table explains, right or wrong: of so few
@@ -243,7 +243,7 @@ def beside_table(rows):
     return centre
 
 
-def near_and_far(fading, fitted, left_out, positions, centre):
+def share_near_and_far(fading, fitted, left_out, positions, centre):
     """Fading whose share far from the data is that of blocks left out, near them of positions.
 
     The share of `fading` is that of the blocks. In the middle between both are doubts between those
@@ -382,7 +382,7 @@ def _blocks(points, positions, weights, between=False):
     return blocks[place.ravel()[positions]]
 
 
-def with_honest_intervals(model, left_out, rows, positions, share: Any = 1.0):
+def with_interval_scales(model, left_out, rows, positions, share: Any = 1.0):
     """Model whose intervals are as wide as errors at positions left out ask for.
 
     Errors of a share of the correction in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the

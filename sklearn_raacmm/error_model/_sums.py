@@ -181,7 +181,7 @@ class Rows(NamedTuple):
     weights: np.ndarray  # (n,)
     codes: Any  # (n,) position of each row, from 0, where positions have offsets; else None
     lengths: tuple[Any, ...] = ()  # of (position, position, mm, standard deviation in mm)
-    known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
+    ridge: float = 0.0  # of the offsets: noise variance over theirs; 0: they may be of any size
     noise: Any = None  # `Noise` of variance 1; None: all rows have the same
     root: np.ndarray | None = None  # (n, 3, 3) that whitens a row of this noise; None: I
     # Of touched features: unit vectors (n, 3, 3) along which a row shows something, zeros for the
@@ -237,7 +237,7 @@ class Rows(NamedTuple):
 
     def whitening(self, factor=1.0):
         """`Whitening` of the rows, their weights times a factor."""
-        given = self.weights * factor, self.root, self.codes, self.unknowns, self.known
+        given = self.weights * factor, self.root, self.codes, self.unknowns, self.ridge
         return Whitening(*given, self.rank)
 
     @property
@@ -271,7 +271,7 @@ class Rows(NamedTuple):
         `part_of` (n,) are their numbers; a position is in one of them.
         """
         sums = candidate_sums(self, columns, part_of)
-        if self.codes is None or self.known:
+        if self.codes is None or self.ridge:
             return sums
         return [without_motions(one, columns) for one in sums]
 
@@ -351,8 +351,8 @@ def explicit_gram(rows, columns_at):
 def less_constants(gram, of_positions, share=1.0):
     """The Gram matrix of `explicit_gram` without what constants of the positions explain.
 
-    Or a `share` (n_positions, 3) of that: v / (v + known) for those of the precision v that are
-    drawn to 0 by as much as `known`.
+    Or a `share` (n_positions, 3) of that: v / (v + ridge) for those of the precision v that are
+    drawn to 0 by as much as `ridge`.
     """
     if of_positions is None:
         return gram

@@ -106,12 +106,12 @@ class Sums(NamedTuple):
             candidate_moment=gram[:n, -1],
             square=float(gram[-1, -1]),
             n_observations=n_observations,
-            rows=GramRows(lambda pairs: waves[columns_of(pairs)], n),
+            rows=GramRows(lambda pairs: waves[pair_columns(pairs)], n),
         )
 
     def of_pairs(self, pairs: np.ndarray) -> Self:
         """The same sums with some of the candidates only."""
-        columns, n, extra = columns_of(pairs), self.cross.shape[1], self.extra
+        columns, n, extra = pair_columns(pairs), self.cross.shape[1], self.extra
         if extra is not None:
             always = np.arange(n, extra.rows.shape[1])
             extra = extra._replace(rows=extra.rows[:, np.r_[columns, always]])
@@ -192,7 +192,7 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     return Sums._make([*whole, rows, None])
 
 
-def columns_of(pairs: ArrayLike) -> np.ndarray:
+def pair_columns(pairs: ArrayLike) -> np.ndarray:
     """First and second columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)
     return np.stack([2 * pairs, 2 * pairs + 1], axis=1).ravel()
@@ -223,7 +223,7 @@ class GramRows:
             missing = missing[: max(_BATCH, len(wanted))]
             self._place |= {pair: i for i, pair in enumerate(missing, start=len(self._place))}
             self._rows = np.concatenate([self._rows, self._sum_up(np.array(missing))])
-        rows = columns_of([self._place[p] for p in wanted])
+        rows = pair_columns([self._place[p] for p in wanted])
         if beside is None:
             return self._rows[rows]
         return self._rows.view(complex)[np.ix_(rows, beside)].view(float)  # both columns at once
@@ -319,7 +319,7 @@ class Problem:
         fixed += (self.sums.square + _ASSUMED_ROWS * self.assumed) / noise
         if extra is not None:
             precision = 1 / (extra.variance + noise * extra.share)
-            n_waves, columns = self.sums.cross.shape[1], columns_of(pairs)
+            n_waves, columns = self.sums.cross.shape[1], pair_columns(pairs)
             rows = extra.rows[:, np.r_[n_waves : extra.rows.shape[1], columns]]
             weighted = rows.T * precision
             S += weighted @ rows
@@ -332,7 +332,7 @@ class Problem:
         """Gram matrix of the columns that are always in and of some pairs, and products with y."""
         if self._last is not None and np.array_equal(pairs, self._last[0]):
             return self._last[1:]
-        sums, m, columns = self.sums, len(self.structures.family), columns_of(pairs)
+        sums, m, columns = self.sums, len(self.structures.family), pair_columns(pairs)
         gram = np.empty((m + len(columns), m + len(columns)))
         gram[:m, :m], gram[:m, m:] = sums.gram, sums.cross[:, columns]
         gram[m:, :m] = gram[:m, m:].T
@@ -411,7 +411,7 @@ class Problem:
         """
         return self._pruned(self.with_lines(state, self._extended(state)))
 
-    def beside_field(self, state: State, of_field: "Problem", alone: State) -> State:
+    def with_field_if_worth(self, state: State, of_field: "Problem", alone: State) -> State:
         """The choice beside the field, where the data speak for it; else the state of lines alone.
 
         It is searched for where its rise of the evidence, beside all that is there, and the prices
@@ -486,7 +486,7 @@ class Problem:
         """
         lines, price = state.lines, self.structures.price[state.lines]
         is_line = np.isin(state.pairs, lines, assume_unique=True)
-        own = len(self.structures.family) + columns_of(np.flatnonzero(is_line)).reshape(-1, 2)
+        own = len(self.structures.family) + pair_columns(np.flatnonzero(is_line)).reshape(-1, 2)
         half, prior = state.half[own], state.prior[own]
         coef, blocks = state.coef[own], half @ half.swapaxes(1, 2)
         out, seen = np.zeros(len(lines), dtype=bool), None
@@ -522,7 +522,7 @@ class Problem:
         half = state.half - ((state.half @ unit) * taken) @ unit.T
         pairs, shares = self.pairs_and_shares(lines, state.with_field)
         m, prior = len(self.structures.family), state.variance @ shares
-        kept = np.r_[:m, m + columns_of(np.flatnonzero(np.isin(state.pairs, pairs)))]
+        kept = np.r_[:m, m + pair_columns(np.flatnonzero(np.isin(state.pairs, pairs)))]
         return state._replace(
             lines=lines,
             pairs=pairs,
@@ -615,7 +615,7 @@ class _Leftover:
         pairs, _, S, r, _ = problem.equations(*choice)
         self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
         self.prior = state.variance[problem.line]
-        columns, m = columns_of(self.free), len(sums.gram)
+        columns, m = pair_columns(self.free), len(sums.gram)
         self.r = sums.candidate_moment[columns] / noise
         self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
         self.size = len(S)
@@ -625,7 +625,7 @@ class _Leftover:
         self.extra = None
         if sums.extra is not None:
             scale = 1 / np.sqrt(sums.extra.variance + noise * sums.extra.share)
-            rows, waves = sums.extra.rows * scale[:, None], columns_of(pairs)
+            rows, waves = sums.extra.rows * scale[:, None], pair_columns(pairs)
             self.extra = rows[:, columns]
             known = rows[:, np.r_[sums.cross.shape[1] : rows.shape[1], waves]]
             self.factor[: self.size] += noise * (known.T @ self.extra)

@@ -251,7 +251,7 @@ class Whitening:
 
     Rows of some weights (n,), whose noise has the `root` (n, 3, 3) or is I. `unknowns` (n, 3, q)
     are what one of each unknown of the `feature` (n,) does to a row: None is a shift, of which
-    `known` is the precision beforehand. `rank` says how many numbers a row shows.
+    `ridge` is the precision beforehand. `rank` says how many numbers a row shows.
     """
 
     def __init__(
@@ -260,7 +260,7 @@ class Whitening:
         root: np.ndarray | None = None,
         feature: np.ndarray | None = None,
         unknowns: np.ndarray | None = None,
-        known: float = 0.0,
+        ridge: float = 0.0,
         rank: np.ndarray | float = 3.0,
     ) -> None:
         # With the root of the weight, 0 along what a row does not show.
@@ -279,10 +279,10 @@ class Whitening:
         side = self.root if unknowns is None else self.root @ unknowns
         value, axes = np.linalg.eigh(self.groups.sums(side.swapaxes(1, 2) @ side))
         shown = value > _UNKNOWN * np.maximum(value[:, -1:], 1e-300)
-        if not known:
+        if not ridge:
             taken = np.count_nonzero(shown, axis=1) / np.maximum(np.bincount(feature), 1)
             self.observations = self.observations - taken[feature]
-        self.precision = value = np.where(shown, value, 0.0) + known
+        self.precision = value = np.where(shown, value, 0.0) + ridge
         size = np.where(value > 0, 1 / np.sqrt(np.where(value > 0, value, 1.0)), 0.0)
         self.unit = axes * size[:, None]
         of_row = self.unit[feature]

@@ -7,7 +7,7 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate, lengths_of_places
-from sklearn_raacmm.calibration._fit import Fit
+from sklearn_raacmm.calibration._fit import TableFit
 from sklearn_raacmm.measurements import Measurements
 from sklearn_raacmm.utils import FindingWarning
 
@@ -85,7 +85,7 @@ def test_fit_jacobian_against_differences(kind):
         stations = None if labels is None else labels[::-1].copy()
         points = rng.normal(0, 500, (12, 3))
         problem = Measurements.of(angles, points=points, tools=labels, stations=stations)
-    fit = Fit(arm, problem, "squared")
+    fit = TableFit(arm, problem, "squared")
     fit.prior_sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [n, n, n, n, 3 * problem.n_tools])
     fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
     x = fit.x + 1e-3 * rng.normal(size=len(fit.x))

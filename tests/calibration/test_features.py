@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from sklearn_raacmm import calibrate, position_residuals
-from sklearn_raacmm.calibration._fit import Fit
+from sklearn_raacmm.calibration._fit import TableFit
 from sklearn_raacmm.datasets import ArmErrors, make_features, make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 
@@ -37,7 +37,7 @@ def test_balls_and_planes_teach_the_table():
 
 def without_last_step(monkeypatch):
     """What touches have been fitted to stays, whatever the table does not explain."""
-    monkeypatch.setattr(Fit, "_take_best_table", lambda fit, mask: None)
+    monkeypatch.setattr(TableFit, "_take_best_table", lambda fit, mask: None)
 
 
 def test_a_table_taught_by_planes_does_not_follow_what_only_planes_show(monkeypatch):

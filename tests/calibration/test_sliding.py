@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, Measurements, calibrate
-from sklearn_raacmm.calibration._fit import Fit
+from sklearn_raacmm.calibration._fit import TableFit
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
 
@@ -51,7 +51,7 @@ def test_what_a_rail_parallel_to_another_cannot_show_is_said():
 
 def test_derivatives_are_those_of_differences():
     measured = Measurements(RAIL.random_poses(10), np.arange(10) // 5, joint_types="PRRRRRR")
-    fit, step = Fit(RAIL, measured, "squared"), 1e-6
+    fit, step = TableFit(RAIL, measured, "squared"), 1e-6
     points, jacobian = fit.located_at(fit.nominal, slice(None))
     assert_allclose(points, RAIL.forward(measured.angles), atol=1e-9)
     assert jacobian.shape == (10, 3, len(fit.nominal)) == (10, 3, 32)

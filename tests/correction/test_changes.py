@@ -8,14 +8,14 @@ from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.correction._change import as_prior
-from sklearn_raacmm.correction._changes import (
+from sklearn_raacmm.correction._rows import Expected, new_rows
+from sklearn_raacmm.correction._suspects import (
     _NOISES,
     _SIZES,
     NOISE,
     likeliest_change,
     named_changes,
 )
-from sklearn_raacmm.correction._rows import Expected, new_rows
 
 M = 40
 

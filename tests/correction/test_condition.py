@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 from scipy.special import betainc
 from scipy.stats import chi2, kstest, multivariate_normal, ncx2
 
-from sklearn_raacmm.correction._condition import (
+from sklearn_raacmm.correction._posterior import (
     Evidence,
+    ModelWhitening,
     Posterior,
-    Whitened,
     narrowed,
     score_tests,
 )
@@ -178,7 +178,7 @@ def drawn():
 
 def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
     known, nuisance, causes, left = drawn
-    whiten = Whitened(known, nuisance, M)
+    whiten = ModelWhitening(known, nuisance, M)
     tests = [score_tests(causes, whiten, one, MANY) for one in left.T]
     assert tests[0]["cause"].tolist() == ["noise", "one", "three"]
     assert tests[0]["freedom"].tolist() == [M - 4, 1, 3]
@@ -193,7 +193,7 @@ def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
 
 def test_a_cause_that_is_there_is_found_as_often_as_the_textbook_says(drawn):
     known, nuisance, causes, left = drawn
-    whiten = Whitened(known, nuisance, M)
+    whiten = ModelWhitening(known, nuisance, M)
     size = 3 / np.linalg.norm(whiten(causes["one"]))
     moved = left + size * causes["one"]
     found = [score_tests(causes, whiten, one, MANY)["p_value"][1] < 0.01 for one in moved.T]
@@ -210,7 +210,7 @@ def test_the_statistic_is_what_least_squares_explains(drawn):
     for columns in (nuisance, np.hstack([nuisance, causes["three"]])):
         A = np.linalg.solve(root, columns)
         sums.append(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
-    tests = score_tests(causes, Whitened(known, nuisance, M), left[:, 0], MANY)
+    tests = score_tests(causes, ModelWhitening(known, nuisance, M), left[:, 0], MANY)
     assert tests["statistic"][0] == pytest.approx(sums[0])
     assert tests["statistic"][2] == pytest.approx(sums[0] - sums[1])
 
@@ -219,14 +219,14 @@ def test_what_the_nuisances_take_up_is_not_tested(drawn):
     known, nuisance, causes, left = drawn
     hidden = {"hidden": nuisance[:, :1] - nuisance[:, 2:3], "nothing": np.zeros((M, 1))}
     half = {"half": np.hstack([nuisance[:, :1], causes["one"]])}
-    tests = score_tests(hidden | half, Whitened(known, nuisance, M), left[:, 0], MANY)
+    tests = score_tests(hidden | half, ModelWhitening(known, nuisance, M), left[:, 0], MANY)
     assert tests["cause"].tolist() == ["noise", "half"]
     assert tests["freedom"].tolist() == [M - 4, 1]
 
 
 def test_the_root_is_that_of_the_covariance(drawn):
     known, _, _, left = drawn
-    whiten = Whitened(known, np.empty((M, 0)), M)
+    whiten = ModelWhitening(known, np.empty((M, 0)), M)
     covariance = np.eye(M) + known @ known.T
     assert_allclose(
         whiten(left).T @ whiten(left), left.T @ np.linalg.solve(covariance, left), atol=1e-6
@@ -236,7 +236,7 @@ def test_the_root_is_that_of_the_covariance(drawn):
 
 def test_repeated_nuisances_are_counted_once(drawn):
     known, nuisance, _, left = drawn
-    twice = Whitened(known, np.hstack([nuisance, nuisance[:, ::-1]]), M)
+    twice = ModelWhitening(known, np.hstack([nuisance, nuisance[:, ::-1]]), M)
     assert twice.freedom == M - 4
-    assert_allclose(twice(left), Whitened(known, nuisance, M)(left), atol=1e-8)
-    assert Whitened(known, np.empty((M, 0)), M).freedom == M
+    assert_allclose(twice(left), ModelWhitening(known, nuisance, M)(left), atol=1e-8)
+    assert ModelWhitening(known, np.empty((M, 0)), M).freedom == M

@@ -31,14 +31,14 @@ def add_column(monkeypatch, power):
 
     monkeypatch.setattr(_columns, "_wobble", with_own)
     monkeypatch.setattr(Columns, "factored", with_slope)
-    _columns._alone.cache_clear()
+    _columns._without_harmonics.cache_clear()
     _columns._with_harmonics.cache_clear()
 
 
 @pytest.fixture(autouse=True)
 def _without_own_columns():
     yield
-    _columns._alone.cache_clear()
+    _columns._without_harmonics.cache_clear()
     _columns._with_harmonics.cache_clear()
 
 

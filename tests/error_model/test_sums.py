@@ -84,7 +84,7 @@ def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
     """Rows that lose or regain all weight among them, some of them all rows of a position."""
     rng = np.random.default_rng(5)
     theta, y = draw_angles(ARM, 60), rng.normal(size=(60, 3))
-    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 60), codes, known=known)
+    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 60), codes, ridge=known)
     columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, True, True))
     factors = [np.ones(60) for _ in range(3)]
     factors[0][7] = 0.0

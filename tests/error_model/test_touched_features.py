@@ -8,7 +8,7 @@ from sklearn_raacmm import ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_point
 from sklearn_raacmm.error_model._checks import check_fit
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._left_out import beside_table
+from sklearn_raacmm.error_model._left_out import centre_beside_table
 from sklearn_raacmm.error_model._sums import Noise, candidate_sums, length_equations
 from sklearn_raacmm.measurements import Features
 
@@ -119,7 +119,7 @@ def test_a_share_is_judged_beside_what_the_table_explains():
     """Touches that calibrated the arm say nothing of an error of its table, and all of noise."""
     test, rng = touched(n_spheres=0, n_planes=10, n_touches=25), np.random.default_rng(0)
     rows = rows_of(test)
-    centre = beside_table(rows)
+    centre = centre_beside_table(rows)
     other = test.arm.replace(
         alpha=test.arm.alpha + rng.normal(0, 1e-6, 6), a=test.arm.a + rng.normal(0, 1e-3, 6)
     )

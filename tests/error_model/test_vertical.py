@@ -180,7 +180,7 @@ def test_evidence_of_a_direction_is_that_of_the_normal_distribution(known):
     prior, noise = rng.uniform(1e4, 4e4, len(columns.table)), 0.7
     state = SimpleNamespace(prior=np.roll(prior, -columns.n_waves), noise_variance=noise)
     codes = None if known is None else np.arange(24) % 5
-    rows = Rows(ARM, theta, y, weights, codes, known=known or 0.0)
+    rows = Rows(ARM, theta, y, weights, codes, ridge=known or 0.0)
     left = _left_of_gravity(rows, columns, loads, state)
     up = np.array([0.6, 0.0, 0.8])
     rest = np.setdiff1d(np.arange(len(prior)), loads)

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm.inference import GramRows, Problem, Structures, Sums
-from sklearn_raacmm.inference._linear import columns_of
+from sklearn_raacmm.inference._linear import pair_columns
 
 
 def sums_of(A, H, y):
@@ -15,7 +15,7 @@ def sums_of(A, H, y):
     gram = H.T @ H
     i = 2 * np.arange(H.shape[1] // 2)
     own = np.array([gram[i, i], gram[i + 1, i + 1], gram[i, i + 1]])
-    rows = GramRows(lambda pairs: gram[columns_of(pairs)], H.shape[1])
+    rows = GramRows(lambda pairs: gram[pair_columns(pairs)], H.shape[1])
     return Sums(A.T @ A, A.T @ y, A.T @ H, own, H.T @ y, y @ y, float(len(y)), rows)
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm.inference import Extra, GramRows, Problem, Structures, Sums
-from sklearn_raacmm.inference._linear import columns_of
+from sklearn_raacmm.inference._linear import pair_columns
 
 
 def test_evidence_is_that_of_the_normal_distribution(toys):
@@ -32,7 +32,7 @@ def test_posterior_is_ridge_in_closed_form(toys, with_field):
     of_pairs = 0.8 * np.isin(pairs, [2, 5]) + 0.05 * with_field * share[pairs]
     prior = np.r_[np.full(4, 0.2), np.repeat(of_pairs, 2)]
     assert_allclose(state.prior, prior)
-    columns = np.column_stack([toy.A, toy.H[:, columns_of(pairs)]])
+    columns = np.column_stack([toy.A, toy.H[:, pair_columns(pairs)]])
     covariance = np.linalg.inv(columns.T @ columns / 0.25 + np.diag(1 / prior))
     assert_allclose(state.coef, covariance @ columns.T @ toy.y / 0.25, rtol=1e-8)
     found = state.half @ state.half.T
@@ -84,7 +84,7 @@ def test_other_observations_are_rows_of_their_own_variance(toys):
     found = Problem(toy.problem.sums._replace(extra=extra), toy.problem.structures).search()
     own = extra.variance + found.noise_variance * extra.share
     scale = np.sqrt(np.r_[np.full(len(toy.y), found.noise_variance), own])
-    waves = columns_of(found.lines)
+    waves = pair_columns(found.lines)
     B = np.vstack([np.column_stack([toy.A, toy.H[:, waves]]), rows[:, np.r_[24:28, waves]]])
     B /= scale[:, None]
     coef = np.linalg.solve(B.T @ B + np.diag(1 / found.prior), B.T @ (np.r_[toy.y, values] / scale))
@@ -105,13 +105,13 @@ def test_sums_of_some_pairs_are_those_of_their_columns(toys):
     rng = np.random.default_rng(1)
     extra = Extra(rng.normal(size=(2, 28)), np.ones(2), np.ones(2), np.ones(2))
     sums = toys.sums_of(toy.A, toy.H, toy.y)._replace(extra=extra)
-    some = toy.H[:, columns_of(pairs)]
+    some = toy.H[:, pair_columns(pairs)]
     found, expected = sums.of_pairs(pairs), toys.sums_of(toy.A, some, toy.y)
     for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
         assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
     assert_allclose(found.rows([2, 0]), expected.rows([2, 0]), atol=1e-12)
     always = np.arange(24, 28)
-    assert_array_equal(found.extra.rows, extra.rows[:, np.r_[columns_of(pairs), always]])
+    assert_array_equal(found.extra.rows, extra.rows[:, np.r_[pair_columns(pairs), always]])
 
 
 def test_directions_of_rounding_are_no_information():

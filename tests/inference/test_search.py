@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm.inference import Problem
-from sklearn_raacmm.inference._linear import _Leftover, columns_of
+from sklearn_raacmm.inference._linear import _Leftover, pair_columns
 
 
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
@@ -65,7 +65,7 @@ def with_field(toys, seed, lines_only):
         SimpleNamespace(A=A, H=H, y=y),
         share,
         lines,
-        problem.beside_field(lines, problem, lines),
+        problem.with_field_if_worth(lines, problem, lines),
     )
 
 
@@ -89,7 +89,7 @@ def test_the_field_has_the_evidence_of_its_own_prior(toys):
         assert evidence(factor * v[2], found.lines, v, noise) < best
     of_pairs = np.where(np.isin(found.pairs, found.lines), v[1], 0.0) + v[2] * share[found.pairs]
     prior = np.r_[np.full(4, v[0]), np.repeat(of_pairs, 2)]
-    columns = np.column_stack([toy.A, toy.H[:, columns_of(found.pairs)]])
+    columns = np.column_stack([toy.A, toy.H[:, pair_columns(found.pairs)]])
     precision = columns.T @ columns / noise + np.diag(1 / prior)
     assert_allclose(found.coef, np.linalg.solve(precision, columns.T @ toy.y / noise), rtol=1e-7)
 

@@ -33,7 +33,7 @@ def test_what_is_left_is_that_of_one_large_covariance(known, shifts):
     columns, root, unknowns, feature, weights, rank, covariance = draw()
     B = np.broadcast_to(np.eye(3), (len(feature), 3, 3)) if shifts else unknowns
     given = None if shifts else unknowns
-    found = Whitening(weights, root, feature, given, known=known, rank=rank)
+    found = Whitening(weights, root, feature, given, ridge=known, rank=rank)
     n, q = len(feature), B.shape[2]
     whole = np.zeros((3 * n, 3 * n))
     precision = np.zeros((3 * n, 3 * n))

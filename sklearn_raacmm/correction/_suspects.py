@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
-from sklearn_raacmm.correction._condition import thin
+from sklearn_raacmm.correction._posterior import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Expected, place_columns, slipped_rows
 from sklearn_raacmm.error_model import Rows
 from sklearn_raacmm.measurements import Explanation
@@ -84,7 +84,7 @@ def likeliest_change(
     return best, columns, float(highest - nothing)
 
 
-class Table:
+class Suspects:
     """What each change does to rows that count, whitened: one table for checks and for updates.
 
     `slipped` (n,) are the rows that do not count. Of the others are `left` (n, 3) what a correction
@@ -118,19 +118,19 @@ def named_changes(
     `refitted` may be off beside any change (``benchmarks/bench_after_the_lab.py knocks``). If
     `only` some changes are possible, no others are looked for.
     """
-    table, linear = Table(expected.widened(), expected.mean), expected.linear
-    causes, known, shown = table.seen, table.known, table.shown
-    if table.rows.codes is None:
-        place = place_columns(linear.arm, table.rows.X, with_base=True)
+    suspects, linear = Suspects(expected.widened(), expected.mean), expected.linear
+    causes, known, shown = suspects.seen, suspects.known, suspects.shown
+    if suspects.rows.codes is None:
+        place = place_columns(linear.arm, suspects.rows.X, with_base=True)
         known = np.hstack([known, shown.flat(place[:, :, 0 if "probe" in refitted else 3 :])])
         taken = "base turned", *refitted
         causes = {name: one for name, one in causes.items() if name not in taken}
-    causes["arm"] = shown.flat(table.expected.columns * changes_of(linear)[1])
+    causes["arm"] = shown.flat(suspects.expected.columns * changes_of(linear)[1])
     causes = {name: one for name, one in causes.items() if not only or name in only}
     names: list[str] = []
     held = {*with_names(linear, parts_of(linear)).tolist()}
     while True:
-        given = table.residual, known, causes, shown.n_coordinates, least_nats
+        given = suspects.residual, known, causes, shown.n_coordinates, least_nats
         name, change, _ = likeliest_change(*given)
         if change is None:
             return names

@@ -70,7 +70,7 @@ class Posterior:
         y, factor, self.logs = shown.y - columns @ prior.coef, np.ones(len(shown.y)), start
         for _ in range(_ROUNDS):
             known = self.weights * factor
-            self.A, summed = rows_of(self.every, y, known)
+            self.A, summed = weighted_rows(self.every, y, known)
             seen = self.A[:, :p] @ prior.half
             n_data = int(np.sum(shown.rank * (known > 0))) - shown.n_unknown
             fixed, variance = np.hstack([seen, self.A[:, p:]]), prior.noise_variance
@@ -137,7 +137,7 @@ def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return solve_triangular(factor, root.T, lower=True, check_finite=False).T
 
 
-def rows_of(columns: np.ndarray, y: np.ndarray, weights: np.ndarray) -> Any:
+def weighted_rows(columns: np.ndarray, y: np.ndarray, weights: np.ndarray) -> Any:
     """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
     What they have left is that of the rows that they sum up.
@@ -225,7 +225,7 @@ def thin(root: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(root.T, mode="r")).T if root.shape[1] > len(root) else root
 
 
-class Whitened:
+class ModelWhitening:
     """Rows over a root of their covariance, without what nuisances do to them.
 
     The covariance is ``I + G G'`` of the columns G, `known` (m, r), in a space of `n_rows`
@@ -262,7 +262,7 @@ class Whitened:
 
 def score_tests(
     causes: Mapping[str, np.ndarray],
-    whiten: Whitened,
+    whiten: ModelWhitening,
     residual: np.ndarray,
     known_from: Sequence[tuple[float, float]],
 ) -> np.ndarray:
