@@ -341,7 +341,7 @@ def reweigh(estimator, source):
             if lead < (LEAD if i else LEAD_AT_FIRST):
                 return _keep(estimator, first, rows, *at_first)
     far = factor == 0
-    if auto and (far.mean() > MOST_FAR or (i and lead < LEAD)):
+    if auto and (far.mean() > MOST_FAR or 0 < lead < LEAD):  # 0: there was no other fit
         return _keep(estimator, first, rows, *at_first)
     if np.any(factor < 1):
         squares = np.square(residuals) * far[:, None]
