@@ -62,6 +62,9 @@ MAX_FITS = 4
 # Nats for each target by which the robust loss has to lead: tails lead by less, slips of 1 mm by
 # more. And the share of far rows above which they are no slips.
 LEAD, MOST_FAR = 1.0, 0.125
+# The same after the first of these fits: slips to one side, which a function can follow, led by .6
+# then and by 1.4 after the second fit; tails led by .07 to .6, and by .2 to .8.
+LEAD_AT_FIRST = 0.25
 # Nats for each target that leaving out the far rows has to gain before another fit is made: what
 # gained less on 13 tables was not taken after that fit either.
 WORTH = 0.05
@@ -317,6 +320,7 @@ def reweigh(estimator, source):
     counted = source.weights > 0
     rows = source._replace(first=np.arange(len(counted))).some(counted)
     (n, q), factor, residuals = rows.Y.shape, np.ones(rows.n_rows), rows.Y
+    lead, at_first = 0.0, (residuals, factor == 0)
     for i in range(MAX_FITS):
         residuals = rows.Y - predict_mean(pack(estimator.networks_), rows.X)
         residuals -= Groups(rows.codes).medians(residuals)  # where groups have constants
@@ -324,18 +328,21 @@ def reweigh(estimator, source):
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
+        if not i:
+            at_first = residuals, factor == 0
         if auto and not i and _gain(residuals, residuals[factor > 0]) < WORTH * q:
             return
         weighted = rows._replace(weights=rows.weights * factor)
         estimator._fit_weighted(weighted, estimator.networks_, i + 1)
-        if auto and not i:
-            lead = evidence(estimator.log_marginal_likelihood_value_, n, residuals[factor == 0])
-            lead -= evidence(first["log_marginal_likelihood_value_"], n, residuals[:0])
-            if lead < LEAD * n * q:
-                return _keep(estimator, first, rows, residuals, factor == 0)
+        if auto and i < 2:
+            now = evidence(estimator.log_marginal_likelihood_value_, n, residuals[factor == 0])
+            before = evidence(first["log_marginal_likelihood_value_"], n, residuals[:0])
+            lead = max(lead, (now - before) / (n * q))
+            if lead < (LEAD if i else LEAD_AT_FIRST):
+                return _keep(estimator, first, rows, *at_first)
     far = factor == 0
-    if auto and far.mean() > MOST_FAR:
-        return _keep(estimator, first, rows, residuals, far)
+    if auto and (far.mean() > MOST_FAR or 0 < lead < LEAD):  # 0: there was no other fit
+        return _keep(estimator, first, rows, *at_first)
     if np.any(factor < 1):
         squares = np.square(residuals) * far[:, None]
         added, share = (np.average(a, axis=0, weights=rows.weights) for a in (squares, far))

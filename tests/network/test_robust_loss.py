@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import median_abs_deviation
+from sklearn.datasets import make_friedman1
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._fit import NORMAL_SQUARE
@@ -40,6 +41,19 @@ def test_outliers_cost_little():
     assert np.mean(robust.row_weight_[bad] == 0) > 0.85
     assert np.mean(robust.row_weight_[~bad] > 0.5) > 0.98
     assert np.sqrt(robust.noise_variance_) == pytest.approx(0.05, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 7, 13])
+def test_slips_to_one_side_that_a_function_can_follow_are_found(seed):
+    """After one fit without the farthest of them the others still bend it."""
+    X, f = make_friedman1(150, noise=0.0, random_state=seed)
+    rng = np.random.default_rng(seed)
+    slips = rng.permutation(150)[:5]
+    y = f + rng.standard_normal(150)
+    y[slips] += 40
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    np.testing.assert_array_equal(np.flatnonzero(model.row_weight_ == 0), np.sort(slips))
+    assert np.sqrt(np.mean(np.square(model.predict(X) - f))) < 1.0
 
 
 def test_without_outliers_nothing_changes():
