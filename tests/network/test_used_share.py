@@ -41,8 +41,7 @@ def test_the_share_is_that_of_models_that_never_saw_a_group(ratio):
         f, d = Groups(codes).centred(f, w), Groups(codes).centred(Y[:, i], w)
         share = np.sum(w * d * f) / np.sum(w * f * f)
         pulls = np.bincount(codes, w * (d - share * f) * f)
-        least = 2.5 * np.linalg.norm(pulls) / np.sum(w * f * f)
-        share = np.clip(share - least**2 / share, 0, 1) if share > least else 0.0
+        share = np.clip(share - 2 * np.linalg.norm(pulls) / np.sum(w * f * f), 0, 1)
         assert_allclose(found[i], share, rtol=1e-9)
         assert_allclose(left[i], np.sum(w * (d - share * f) ** 2) / (w.sum() - 5), rtol=1e-9)
 
