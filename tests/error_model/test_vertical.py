@@ -197,9 +197,11 @@ def test_evidence_of_a_direction_is_that_of_the_normal_distribution(known):
     def density(v):
         return multivariate_normal(np.zeros(72), covariance + v * L @ L.T).logpdf(y.T.ravel())
 
-    found, coef = _evidence_and_coef(up, *left)
+    found, coef, squares = _evidence_and_coef(up, *left)
     rises = [density(v) - density(0.0) for v in _VARIANCES]
     assert found == pytest.approx(max(rises), abs=1e-6)
     v = _VARIANCES[np.argmax(rises)]
     expected = v * L.T @ np.linalg.solve(covariance + v * L @ L.T, y.T.ravel())
     assert_allclose(coef, expected, atol=1e-6 * np.abs(expected).max())
+    posterior = v * np.eye(len(loads)) - v * v * L.T @ np.linalg.solve(covariance + v * L @ L.T, L)
+    assert_allclose(squares, np.outer(coef, coef) + posterior, atol=1e-6 * np.abs(squares).max())
