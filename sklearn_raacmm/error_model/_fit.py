@@ -8,6 +8,7 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -122,8 +123,9 @@ _PRICE_OF_VERTICAL, _NEAR = 20.0, np.cos(np.deg2rad(2))
 _NOTHING_LEFT = 1e-3
 # Variances of gravity's columns that are compared, in square arc seconds.
 _VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
-# The search ends where a step turns the direction by less, in rad, and after so many steps: upright
-# arms take 1 to 10, those on walls up to 20.
+# The search ends where a step turns the direction by less, in rad: the evidence is then within 0.1
+# nats of its top. Upright arms and those on walls take 1 to 20 steps
+# (``benchmarks/bench_after_the_lab.py mounts``).
 _LAST_TURN, _STEPS = 0.002, 100
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -526,10 +528,10 @@ def model_of(rows, columns, state):
 def better_vertical(fitted):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
-    Harmonics and variances of the fit stay, but that of gravity. From the direction of the fit on,
-    expectation and maximisation take turns: the coefficients along a direction, and the direction
-    that fits their mean and covariance best. To turn the direction round changes signs only: of
-    both the one is taken along which the arm gives way.
+    Harmonics and variances of the fit stay, but that of gravity. Expectation and maximisation take
+    turns: the coefficients along a direction, and the direction that fits their mean and covariance
+    best. To turn the direction round changes signs only: of both the one is taken along which the
+    arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
     # Gravity along another direction looks like noise of the joints.
@@ -545,9 +547,11 @@ def better_vertical(fitted):
         return ()  # along any direction so many columns explain so few poses
     left = _left_of_gravity(rows, few, loads, state)
 
-    # One that has paid is made better.
+    # One that has paid is made better. Of the axes and the stated direction one is near enough.
     stated, price = few.up, 0.0 if few.terms.up else _PRICE_OF_VERTICAL
-    up, (before, coef, squares) = stated, _evidence_and_coef(stated, *left)
+    starts = [(one, *_evidence_and_coef(one, *left)) for one in (stated, *np.eye(3))]
+    before = starts[0][1]
+    up, evidence, coef, squares = max(starts, key=itemgetter(1))
     for _ in range(_STEPS):
         products, moments = left
         weight = np.tensordot(products, squares, axes=([1, 3], [0, 1]))

@@ -51,8 +51,8 @@ _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
 _LEAST_SHARE, _NO_NOISE, _LEAST_NOISE = 1e-8, 1e-120, 1e-12
 # Halvings of a step that lowers the evidence.
 _HALVINGS = 5
-# Share of the largest eigenvalue of the always-in columns' scaled Gram matrix below which a
-# direction is rounding, not data; size of a column, relative to the largest, that is rounding, too.
+# Square of what others leave of a column that is always in, relative to its own, below which it is
+# rounding, not data; size of a column, relative to the largest, that is rounding, too.
 _ROUNDING, _NO_SIZE = 1e-12, 1e-7
 # Lines are guessed to be so many, for the first choice.
 _GUESSED_LINES = 12
@@ -588,17 +588,18 @@ def _without_rounding(sums):
     if not size.any():
         return sums
     size = np.maximum(size, _NO_SIZE * size.max())
-    value, vectors = np.linalg.eigh(sums.gram / np.outer(size, size))
-    is_seen = value > _ROUNDING * value[-1]
-    if is_seen.all():
+    factor, order, rank, _ = lapack.dpstrf(sums.gram / np.outer(size, size), tol=_ROUNDING, lower=1)
+    seen, rest = order[:rank] - 1, order[rank:] - 1
+    if not len(rest):
         return sums
-    root = size[:, None] * vectors[:, is_seen] * np.sqrt(value[is_seen])
-    unseen = vectors[:, ~is_seen]
-    to_unseen, unseen = unseen.T / size, size[:, None] * unseen
-    moment = sums.moment - unseen @ (to_unseen @ sums.moment)
-    cross = unseen @ (to_unseen @ sums.cross)
-    np.subtract(sums.cross, cross, out=cross)
-    return sums._replace(gram=root @ root.T, moment=moment, cross=cross)
+    # What the factor has left over are combinations of the columns that it has taken.
+    of_seen = solve_triangular(factor[:rank, :rank], factor[rank:, :rank].T, lower=True, trans="T")
+    of_seen = size[rest, None] * of_seen.T / size[seen]
+    gram, moment, cross = sums.gram.copy(), sums.moment.copy(), sums.cross.copy()
+    gram[rest] = of_seen @ gram[seen]
+    gram[:, rest] = gram[:, seen] @ of_seen.T
+    moment[rest], cross[rest] = of_seen @ moment[seen], of_seen @ cross[seen]
+    return sums._replace(gram=gram, moment=moment, cross=cross)
 
 
 class _Leftover:
