@@ -51,9 +51,6 @@ _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
 _LEAST_SHARE, _NO_NOISE, _LEAST_NOISE = 1e-8, 1e-120, 1e-12
 # Halvings of a step that lowers the evidence.
 _HALVINGS = 5
-# Square of what others leave of a column that is always in, relative to its own, below which it is
-# rounding, not data; size of a column, relative to the largest, that is rounding, too.
-_ROUNDING, _NO_SIZE = 1e-12, 1e-7
 # Lines are guessed to be so many, for the first choice.
 _GUESSED_LINES = 12
 # Shares of its diagonal that are added to a matrix, one instead of another, until it has a factor.
@@ -236,7 +233,7 @@ class Problem:
     """
 
     def __init__(self, sums: Sums, structures: Structures) -> None:
-        self.sums: Sums = _without_rounding(sums)
+        self.sums: Sums = sums
         self.structures: Structures = structures
         self.line: int = len(structures.given) - 2
         self.n: float = max(sums.n_observations, 1.0)
@@ -576,30 +573,6 @@ def root_of(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
         f"{own.min():.3g} to {own.max():.3g}, has no Cholesky factor ({said}). Either one row "
         "outweighs all others, or the sums are not those of the columns."
     )
-
-
-def _without_rounding(sums):
-    """Sums without the directions of the always-in columns that hold only rounding.
-
-    Where the data do not show a direction, the exact sums vanish along it; the computed ones do not
-    quite, and a wide prior would take that for information.
-    """
-    size = np.sqrt(np.maximum(sums.gram.diagonal(), 0.0))
-    if not size.any():
-        return sums
-    size = np.maximum(size, _NO_SIZE * size.max())
-    factor, order, rank, _ = lapack.dpstrf(sums.gram / np.outer(size, size), tol=_ROUNDING, lower=1)
-    seen, rest = order[:rank] - 1, order[rank:] - 1
-    if not len(rest):
-        return sums
-    # What the factor has left over are combinations of the columns that it has taken.
-    of_seen = solve_triangular(factor[:rank, :rank], factor[rank:, :rank].T, lower=True, trans="T")
-    of_seen = size[rest, None] * of_seen.T / size[seen]
-    gram, moment, cross = sums.gram.copy(), sums.moment.copy(), sums.cross.copy()
-    gram[rest] = of_seen @ gram[seen]
-    gram[:, rest] = gram[:, seen] @ of_seen.T
-    moment[rest], cross[rest] = of_seen @ moment[seen], of_seen @ cross[seen]
-    return sums._replace(gram=gram, moment=moment, cross=cross)
 
 
 class _Leftover:
