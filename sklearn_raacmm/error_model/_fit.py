@@ -8,11 +8,11 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
 
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
@@ -123,13 +123,10 @@ _PRICE_OF_VERTICAL, _NEAR = 20.0, np.cos(np.deg2rad(2))
 _NOTHING_LEFT = 1e-3
 # Variances of gravity's columns that are compared, in square arc seconds.
 _VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
-# Directions that are compared, on a spiral over half a sphere, for opposite ones count as the same.
-# From the best one the search goes in steps that begin and end at these angles, rad.
-_HEIGHT = (np.arange(48) + 0.5) / 48
-_TURN = np.pi * (1 + 5**0.5) * 48 * _HEIGHT
-_DIRECTIONS = np.column_stack([np.cos(_TURN), np.sin(_TURN), np.zeros(48)])
-_DIRECTIONS = np.sqrt(1 - _HEIGHT**2)[:, None] * _DIRECTIONS + np.outer(_HEIGHT, [0, 0, 1])
-_FIRST_STEP, _LAST_STEP = 0.2, 0.002
+# The search ends where a step turns the direction by less, in rad: the evidence is then within 0.1
+# nats of its top. Upright arms and those on walls take 1 to 20 steps
+# (``benchmarks/bench_after_the_lab.py mounts``).
+_LAST_TURN, _STEPS = 0.002, 100
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -530,8 +527,10 @@ def model_of(rows, columns, state):
 def better_vertical(fitted):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
-    Harmonics and variances of the fit stay, but that of gravity. To turn the direction round
-    changes signs only: of both the one is taken along which the arm gives way.
+    Harmonics and variances of the fit stay, but that of gravity. Expectation and maximisation take
+    turns: the coefficients along a direction, and the direction that fits their mean and covariance
+    best. To turn the direction round changes signs only: of both the one is taken along which the
+    arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
     # Gravity along another direction looks like noise of the joints.
@@ -547,26 +546,20 @@ def better_vertical(fitted):
         return ()  # along any direction so many columns explain so few poses
     left = _left_of_gravity(rows, few, loads, state)
 
-    def evidence(up):
-        return _evidence_and_coef(up, *left)[0]
-
-    # One that has paid is made better.
+    # One that has paid is made better. Of the axes and the stated direction one is near enough.
     stated, price = few.up, 0.0 if few.terms.up else _PRICE_OF_VERTICAL
-    up = max([stated, *_DIRECTIONS], key=evidence)
-    across = _FIRST_STEP * np.linalg.svd(up[None])[2][1:]
-
-    def turned(two):
-        there = up + two @ across
-        return there / np.linalg.norm(there)
-
-    simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    options = {"initial_simplex": simplex, "xatol": _LAST_STEP / _FIRST_STEP, "fatol": 0.01}
-    up = turned(
-        minimize(lambda two: -evidence(turned(two)), simplex[0], method="Nelder-Mead",
-                 options=options).x
-    )  # fmt: skip
-    higher, coef = _evidence_and_coef(up, *left)
-    if higher - evidence(stated) < price:
+    starts = [(one, *_evidence_and_coef(one, *left)) for one in (stated, *np.eye(3))]
+    before = starts[0][1]
+    up, evidence, coef, squares = max(starts, key=itemgetter(1))
+    for _ in range(_STEPS):
+        products, moments = left
+        weight = np.tensordot(products, squares, axes=([1, 3], [0, 1]))
+        last, up = up, np.linalg.pinv(weight, hermitian=True) @ (moments @ coef)
+        up = up / max(np.linalg.norm(up), _TINY)
+        evidence, coef, squares = _evidence_and_coef(up, *left)
+        if np.linalg.norm(up - last) < _LAST_TURN:
+            break
+    if evidence - before < price:
         return ()
     # A probe sags, whatever the pose: the arm measures it above where it is.
     columns = columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
@@ -607,15 +600,16 @@ def _left_of_gravity(rows, columns, loads, state):
 
 
 def _evidence_and_coef(up, products, moments):
-    """Log evidence of gravity along a direction, at its best variance, and the coefficients.
+    """Log evidence of gravity along a direction, at its best variance, and its coefficients.
 
     With S the products along it and r those with y that is ``v r' inv(I + v S) r / 2 - log det(I +
-    v S) / 2`` at the variance v.
+    v S) / 2`` at the variance v. Of the coefficients w the means, and those of ``w w'``.
     """
     value, vectors = np.linalg.eigh(np.einsum("a,aibj,b->ij", up, products, up))
     value, r = np.maximum(value, 0.0), up @ moments @ vectors
     v = _VARIANCES[:, None]
     evidence = 0.5 * (v * np.square(r) / (1 + v * value) - np.log1p(v * value)).sum(axis=1)
     best = np.argmax(evidence)
-    v = _VARIANCES[best]
-    return float(evidence[best]), vectors @ (v * r / (1 + v * value))
+    variance = _VARIANCES[best] / (1 + _VARIANCES[best] * value)
+    coef = vectors @ (variance * r)
+    return float(evidence[best]), coef, (vectors * variance) @ vectors.T + np.outer(coef, coef)

@@ -51,9 +51,6 @@ _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
 _LEAST_SHARE, _NO_NOISE, _LEAST_NOISE = 1e-8, 1e-120, 1e-12
 # Halvings of a step that lowers the evidence.
 _HALVINGS = 5
-# Share of the largest eigenvalue of the always-in columns' scaled Gram matrix below which a
-# direction is rounding, not data; size of a column, relative to the largest, that is rounding, too.
-_ROUNDING, _NO_SIZE = 1e-12, 1e-7
 # Lines are guessed to be so many, for the first choice.
 _GUESSED_LINES = 12
 # Shares of its diagonal that are added to a matrix, one instead of another, until it has a factor.
@@ -236,7 +233,7 @@ class Problem:
     """
 
     def __init__(self, sums: Sums, structures: Structures) -> None:
-        self.sums: Sums = _without_rounding(sums)
+        self.sums: Sums = sums
         self.structures: Structures = structures
         self.line: int = len(structures.given) - 2
         self.n: float = max(sums.n_observations, 1.0)
@@ -576,29 +573,6 @@ def root_of(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
         f"{own.min():.3g} to {own.max():.3g}, has no Cholesky factor ({said}). Either one row "
         "outweighs all others, or the sums are not those of the columns."
     )
-
-
-def _without_rounding(sums):
-    """Sums without the directions of the always-in columns that hold only rounding.
-
-    Where the data do not show a direction, the exact sums vanish along it; the computed ones do not
-    quite, and a wide prior would take that for information.
-    """
-    size = np.sqrt(np.maximum(sums.gram.diagonal(), 0.0))
-    if not size.any():
-        return sums
-    size = np.maximum(size, _NO_SIZE * size.max())
-    value, vectors = np.linalg.eigh(sums.gram / np.outer(size, size))
-    is_seen = value > _ROUNDING * value[-1]
-    if is_seen.all():
-        return sums
-    root = size[:, None] * vectors[:, is_seen] * np.sqrt(value[is_seen])
-    unseen = vectors[:, ~is_seen]
-    to_unseen, unseen = unseen.T / size, size[:, None] * unseen
-    moment = sums.moment - unseen @ (to_unseen @ sums.moment)
-    cross = unseen @ (to_unseen @ sums.cross)
-    np.subtract(sums.cross, cross, out=cross)
-    return sums._replace(gram=root @ root.T, moment=moment, cross=cross)
 
 
 class _Leftover:

@@ -82,6 +82,18 @@ def test_the_data_show_where_gravity_pulls(on_a_wall):
     assert found < 1.1 * stated < 0.15 * none
 
 
+def test_a_direction_is_found_beside_another_top_of_the_evidence():
+    """At 45 degrees; from upright alone, which is stated, the search ends elsewhere."""
+    machine = SimulatedArm("gravity", random_state=833, up=(1, 0, 1))
+    test = make_single_point(8, 25, machine=machine, random_state=833)
+    found = calibrate(test.nominal_arm.replace(up=(0, 0, 1)), test.data, test.groups)
+    y = found.residuals(test.data, groups=test.groups)
+    model = ArmResidualRegressor(found.arm, orders=4)
+    with pytest.warns(FindingWarning, match=r"Gravity seems to pull against \(0\.7"):
+        model.fit(test.data, y, groups=test.groups)
+    assert np.arccos(model.linear_model_.terms.up @ test.arm.up) < np.deg2rad(3)
+
+
 def test_a_vertical_that_is_known_is_not_sought(on_a_wall, monkeypatch):
     """As fits of some rows have it of a fit of all; upright arms keep every bit of the model."""
     test, found = on_a_wall
@@ -197,9 +209,11 @@ def test_evidence_of_a_direction_is_that_of_the_normal_distribution(known):
     def density(v):
         return multivariate_normal(np.zeros(72), covariance + v * L @ L.T).logpdf(y.T.ravel())
 
-    found, coef = _evidence_and_coef(up, *left)
+    found, coef, squares = _evidence_and_coef(up, *left)
     rises = [density(v) - density(0.0) for v in _VARIANCES]
     assert found == pytest.approx(max(rises), abs=1e-6)
     v = _VARIANCES[np.argmax(rises)]
     expected = v * L.T @ np.linalg.solve(covariance + v * L @ L.T, y.T.ravel())
     assert_allclose(coef, expected, atol=1e-6 * np.abs(expected).max())
+    posterior = v * np.eye(len(loads)) - v * v * L.T @ np.linalg.solve(covariance + v * L @ L.T, L)
+    assert_allclose(squares, np.outer(coef, coef) + posterior, atol=1e-6 * np.abs(squares).max())
