@@ -124,8 +124,7 @@ _NOTHING_LEFT = 1e-3
 # Variances of gravity's columns that are compared, in square arc seconds.
 _VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
 # The search ends where a step turns the direction by less, in rad: the evidence is then within 0.1
-# nats of its top. Upright arms and those on walls take 1 to 20 steps
-# (``benchmarks/bench_after_the_lab.py mounts``).
+# nats of its top. Most arms, upright and on walls, take 1 to 20 steps.
 _LAST_TURN, _STEPS = 0.002, 100
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
