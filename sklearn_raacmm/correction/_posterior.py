@@ -9,7 +9,6 @@ tests say which causes explain what is left of rows whose covariance is known.
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, cholesky, lapack, solve_triangular
@@ -137,7 +136,9 @@ def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return solve_triangular(factor, root.T, lower=True, check_finite=False).T
 
 
-def weighted_rows(columns: np.ndarray, y: np.ndarray, weights: np.ndarray) -> Any:
+def weighted_rows(
+    columns: np.ndarray, y: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
     What they have left is that of the rows that they sum up.

@@ -130,7 +130,7 @@ class Groups:
         starts = np.cumsum(np.diff(self.codes, prepend=self.codes[:1]) != 0)
         return [Groups(starts[of] - starts[of.start]) for of in slices]
 
-    def matrix(self, weights: np.ndarray | None = None) -> Any:
+    def matrix(self, weights: np.ndarray | None = None) -> np.ndarray | csc_array:
         """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
         n = len(self.codes)
         n_groups = int(self.codes.max()) + 1 if self.n_groups is None else self.n_groups
@@ -142,7 +142,7 @@ class Groups:
         return csc_array((weights, self.codes, np.arange(n + 1)), shape=(n_groups, n))
 
     @cached_property
-    def total(self) -> Any:
+    def total(self) -> np.ndarray | csc_array:
         """The `matrix` of rows without weights, made once."""
         return self.matrix()
 
