@@ -196,14 +196,15 @@ def _by_names_of_joints(table, names, joint_names):
 
     As they are, else behind what robots of several arms put before them: ``left_elbow_joint``.
     """
-    texts = [f"{name} {header.lower()}" for name, header in zip(names, table.header, strict=True)]
+    headers = [header.lower() for header in table.header]  # with units, such as the s of times
     for before in ("a-z0-9_", "a-z0-9"):
         columns = []
         for joint in map(str.lower, joint_names):
             word = r"[\W_]*".join(map(re.escape, joint.removesuffix("_joint").split("_")))
             pattern = re.compile(rf"(?<![{before}]){word}(?![a-z0-9])")
             fitting = [i for i, name in enumerate(names) if name == joint]
-            fitting = fitting or [i for i, text in enumerate(texts) if pattern.search(text)]
+            for texts in (names, headers):
+                fitting = fitting or [i for i, text in enumerate(texts) if pattern.search(text)]
             columns.append(_measured_angles(table, fitting))
         if len({one[0] for one in columns if len(one) == 1}) == len(joint_names):
             return [column for (column,) in columns]

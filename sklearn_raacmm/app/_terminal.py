@@ -50,7 +50,8 @@ def print_scores(scores, rows_named="positions"):
     measure, lines = scores.measure, str(scores).split("\n")
     print(f"{measure[0].upper()}{measure[1:]} in mm at {rows_named} left out:")
     for line in lines[2:]:
-        say(line)
+        # Two spaces part the columns of a table, whose rows stay whole.
+        (print if "  " in line else say)(line)
 
 
 # -- time -----------------------------------------------------------------------------------------

@@ -180,7 +180,9 @@ class Chain:
     @cached_property
     def reach_mm(self) -> float:
         """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
+        low, high = self.spans
+        middle, sums = self.own_by_given @ (low + high) / 2, np.abs(self.own_by_given)
+        at_ends = np.abs(self.d + self.joint_signs * middle) + sums @ (high - low) / 2
         d = np.where(self.by_type(False, True), at_ends, self.d)
         return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
@@ -306,7 +308,7 @@ class Chain:
         low, high = self.spans
         return 200.0 * np.maximum(np.ceil((high - low) / 100.0), 1.0)
 
-    @property
+    @cached_property
     def phase_factors(self) -> Floats:
         """What makes `phases` of the `own_angles` of each joint, (n_joints,): rad for rad or mm."""
         return np.where(self.by_type(False, True), 2 * np.pi / self.turn_mm, 1.0)

@@ -101,7 +101,8 @@ class ReachingChain(Chain):
         first, last = np.clip(self.spans, *self.bounds)  # limits may be beyond half a turn
         unit = self.by_type(1.0, self.reach_mm)
         angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
-        open_, near = np.arange(len(points)), np.linalg.norm(points, axis=1) <= self.reach_mm
+        reach = self.reach_mm if np.isfinite(self.bounds[:, self.slides]).all() else np.inf
+        open_, near = np.arange(len(points)), np.linalg.norm(points, axis=1) <= reach
 
         def of_open(angles, rows, correction: Any = correction):
             return correction(angles, open_[rows])

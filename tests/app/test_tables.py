@@ -160,3 +160,13 @@ def test_a_mistyped_heading_stands_in_the_note(tmp_path):
     path.write_text("k;q1;p2;q3\n" + "A;0.1;0.2;0.3\nA;0.2;0.3;0.4\n" * 3)
     notes = read_table(path, 3, angle_unit="rad").notes
     assert "Joint angles: the columns of numbers in their order, q1, p2, q3." in notes
+
+
+def test_a_unit_is_no_name_of_a_joint(tmp_path):
+    """The joint S and the s of times; columns are in no order of the joints."""
+    path, joints = tmp_path / "log.csv", "SLURBT"
+    header = ["time [s]", *(f"axis {joint} [deg]" for joint in joints[::-1])]
+    rows = np.arange(28.0).reshape(4, 7)
+    path.write_text("\n".join(";".join(map(str, row)) for row in [header, *rows]) + "\n")
+    table = read_table(path, 6, labelled=False, joint_names=joints)
+    np.testing.assert_array_equal(table.angles, rows[:, :0:-1])

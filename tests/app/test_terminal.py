@@ -44,6 +44,16 @@ def test_lines_are_as_wide_as_a_terminal(result, monkeypatch, capsys):
     assert f"{result.scores.summary['after'][0]:.4f}" in printed
 
 
+def test_a_narrow_terminal_breaks_sentences_but_no_rows(result, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "50")
+    _terminal.print_scores(result.scores)
+    printed = capsys.readouterr().out.splitlines()
+    rows = [line for line in printed if re.match(r"\d\d .*\.\.\. ", line)]
+    assert len(rows) == 12
+    assert all(len(row.split()[-5:]) == 5 and row.count(".") >= 7 for row in rows)
+    assert max(len(line) for line in printed[14:]) <= 50
+
+
 @pytest.mark.parametrize(
     ("environment", "stream", "coloured"),
     [({}, Terminal, True), ({}, io.StringIO, False), ({"NO_COLOR": "1"}, Terminal, False)],

@@ -241,3 +241,14 @@ def test_an_end_without_a_limit_stays_free_in_a_file():
     assert np.all((found >= again.limits[:, 0]) & (found <= again.limits[:, 1]))
     free = Arm.from_urdf(arm.replace(limits=None).to_urdf())
     assert free.limits is None
+
+
+def test_slides_that_are_sums_reach_as_far():
+    limits = [(0, 3000), (0, 3000), (-3, 3), (-3, 3)]
+    arm = Arm(
+        [0, 0, 0, 300], [0, np.pi / 2, np.pi / 2, 0], [100, 0, 0, 0], joint_types="PPRR",
+        couplings=[(2, 1, 1)], limits=limits, pose_frames=(1, 4), pose_joints=(1, 4),
+    )  # fmt: skip
+    farthest = np.linalg.norm(arm.forward([[3000, 3000, 0.2, 0.3]]))
+    assert 9000 < farthest <= arm.reach_mm
+    assert arm.replace(couplings=()).reach_mm == 6400

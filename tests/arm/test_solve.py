@@ -103,3 +103,12 @@ def test_what_is_out_of_reach_asks_for_few_corrections():
     assert asked[:12].max() <= 3
     assert asked[12:24].max() <= 5
     assert asked[24:].max() <= 30
+
+
+def test_a_slide_without_limits_has_no_reach():
+    arm = Arm.from_name("ur10_rail", limits=None)
+    angles = arm.random_poses(40, np.random.default_rng(5))  # two of which the zero does not find
+    angles[:, 0] = np.linspace(4500, 9000, 40)
+    points, turned = arm.forward(angles), arm.frames(angles)[:, -1, :, :3]
+    found = arm.angles_for(points, orientations=turned)
+    assert_allclose(arm.forward(found), points, atol=1e-6)
