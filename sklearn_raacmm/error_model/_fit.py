@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
@@ -123,9 +124,6 @@ _PRICE_OF_VERTICAL, _NEAR = 20.0, np.cos(np.deg2rad(2))
 _NOTHING_LEFT = 1e-3
 # Variances of gravity's columns that are compared, in square arc seconds.
 _VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
-# The search ends where a step turns the direction by less, in rad: the evidence is then within 0.1
-# nats of its top. Most arms, upright and on walls, take 1 to 20 steps.
-_LAST_TURN, _STEPS = 0.002, 100
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -526,10 +524,10 @@ def model_of(rows, columns, state):
 def better_vertical(fitted):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
-    Harmonics and variances of the fit stay, but that of gravity. Expectation and maximisation take
-    turns: the coefficients along a direction, and the direction that fits their mean and covariance
-    best. To turn the direction round changes signs only: of both the one is taken along which the
-    arm gives way.
+    Harmonics and variances of the fit stay, but that of gravity. The search follows the slope of
+    the evidence, which the mean and the covariance of the coefficients along a direction have. To
+    turn the direction round changes signs only: of both the one is taken along which the arm gives
+    way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
     # Gravity along another direction looks like noise of the joints.
@@ -545,19 +543,21 @@ def better_vertical(fitted):
         return ()  # along any direction so many columns explain so few poses
     left = _left_of_gravity(rows, few, loads, state)
 
+    def loss(along):
+        """Less the log evidence along a direction of any length, and its slope (Fisher)."""
+        size = np.linalg.norm(along)
+        evidence, coef, squares = _evidence_and_coef(along / size, *left)
+        weight = np.tensordot(left[0], squares, axes=([1, 3], [0, 1]))
+        slope = left[1] @ coef - weight @ along / size
+        return -evidence, (slope @ along / size**2 * along - slope) / size
+
     # One that has paid is made better. Of the axes and the stated direction one is near enough.
     stated, price = few.up, 0.0 if few.terms.up else _PRICE_OF_VERTICAL
-    starts = [(one, *_evidence_and_coef(one, *left)) for one in (stated, *np.eye(3))]
-    before = starts[0][1]
-    up, evidence, coef, squares = max(starts, key=itemgetter(1))
-    for _ in range(_STEPS):
-        products, moments = left
-        weight = np.tensordot(products, squares, axes=([1, 3], [0, 1]))
-        last, up = up, np.linalg.pinv(weight, hermitian=True) @ (moments @ coef)
-        up = up / max(np.linalg.norm(up), _TINY)
-        evidence, coef, squares = _evidence_and_coef(up, *left)
-        if np.linalg.norm(up - last) < _LAST_TURN:
-            break
+    starts = [(_evidence_and_coef(one, *left)[0], one) for one in (stated, *np.eye(3))]
+    before = starts[0][0]
+    up = minimize(loss, max(starts, key=itemgetter(0))[1], jac=True, method="L-BFGS-B").x
+    up = up / np.linalg.norm(up)
+    evidence, coef, _ = _evidence_and_coef(up, *left)
     if evidence - before < price:
         return ()
     # A probe sags, whatever the pose: the arm measures it above where it is.

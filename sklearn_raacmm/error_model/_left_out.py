@@ -68,6 +68,9 @@ _WARN_SHARE = 0.1
 # Spread of the priors of log a and log b about their means; rate of the Gamma(2) prior of the
 # degrees of freedom (M. A. Juarez, M. F. J. Steel, J. Bus. Econ. Stat. 28, 2010).
 _LOG_SPREAD, _PER_FREEDOM = 1.0, 0.1
+# Share of the largest squared deviation below which one is rounding: a position takes its own noise
+# from that of its only pose, which leaves some 1e-16.
+_NO_DEVIATION = 1e-12
 # The search goes on to the last digits: fading acts on the result, which has to be the same for a
 # weight of 2 and a row that is there twice. Logarithms that it stays between.
 _SEARCH, _LOGS = {"ftol": 1e-15, "gtol": 1e-9, "maxiter": 500}, (-50.0, 50.0)
@@ -443,8 +446,9 @@ def interval_scales(
     position resemble each other. `usual_log_b` and `usual_log_a` are the means of the priors of
     log b and log a.
     """
-    # Rows of no deviation at all, of positions of one pose, say nothing.
-    used = np.square(noise) + np.square(std) > 0
+    # Deviations in positions of one pose are rounding, and say nothing.
+    size = np.square(noise) + np.square(std)
+    used = size > _NO_DEVIATION * size.max(initial=0.0)
     weight = np.broadcast_to(weights[:, None], errors.shape)[used]
     e2, n2, s2 = (np.square(values[used]) for values in (errors, noise, std))
     if not len(e2):

@@ -199,6 +199,16 @@ def test_scales_are_found(freedom):
     assert_allclose(once, again, rtol=1e-2)
 
 
+def test_rounding_in_a_position_of_one_pose_says_nothing_of_intervals():
+    rng = np.random.default_rng(0)
+    noise, std, ones = np.full((60, 3), 0.01), np.full((60, 3), 0.02), np.ones(60)
+    errors = rng.normal(scale=0.03, size=(60, 3))
+    noise[-1], std[-1], errors[-1] = 1e-10, 1e-16, 1e-17
+    found = interval_scales(errors, noise, std, ones, 0.3, 0.7)
+    without = interval_scales(*(values[:-1] for values in (errors, noise, std, ones)), 0.3, 0.7)
+    assert_allclose(found, without, rtol=1e-7)
+
+
 def test_prior_of_the_scale_gives_way_to_what_is_shown():
     """Deviations that noise hides leave the factor at its prior; clear ones find their own."""
     rng = np.random.default_rng(0)

@@ -13,7 +13,12 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, plan_poses, pos
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
-from sklearn_raacmm.error_model._fit import _VARIANCES, _evidence_and_coef, _left_of_gravity
+from sklearn_raacmm.error_model._fit import (
+    _VARIANCES,
+    _evidence_and_coef,
+    _left_of_gravity,
+    better_vertical,
+)
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.utils import FindingWarning
 
@@ -92,6 +97,34 @@ def test_a_direction_is_found_beside_another_top_of_the_evidence():
     with pytest.warns(FindingWarning, match=r"Gravity seems to pull against \(0\.7"):
         model.fit(test.data, y, groups=test.groups)
     assert np.arccos(model.linear_model_.terms.up @ test.arm.up) < np.deg2rad(3)
+
+
+def test_the_search_ends_at_a_top_of_the_evidence(monkeypatch):
+    """Of errors along one direction, whose evidence hardly rises beside the axis it begins at."""
+    arm, rng = Arm.from_name("ur10"), np.random.default_rng(1)
+    theta = arm.random_poses(150)
+    other = arm.replace(alpha=arm.alpha + rng.normal(0, 1e-4, 6))
+    y = other.forward(theta) - arm.forward(theta) + rng.normal(0, 0.01, (150, 3))
+    y += 0.1 * np.sin(theta[:, 1:2]) * [1.0, 0.5, 0.2]
+    left, lost = [], []
+
+    def spied(*given):
+        left[:] = _left_of_gravity(*given)
+        return left
+
+    def with_check(fitted):
+        if len(found := better_vertical(fitted)):
+            tried = [*rng.normal(size=(400, 3)), np.array(found)]
+            tried = [_evidence_and_coef(up / np.linalg.norm(up), *left)[0] for up in tried]
+            lost.append(max(tried) - tried[-1])
+        return found
+
+    monkeypatch.setattr(_fit, "_left_of_gravity", spied)
+    monkeypatch.setattr(_fit, "better_vertical", with_check)
+    with pytest.warns(FindingWarning, match="Gravity seems to pull"):
+        ArmResidualRegressor(arm, orders=4).fit(theta, y, groups=False)
+    assert len(lost)
+    assert max(lost) < 0.1
 
 
 def test_a_vertical_that_is_known_is_not_sought(on_a_wall, monkeypatch):
