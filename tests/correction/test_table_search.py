@@ -12,7 +12,7 @@ from sklearn_raacmm import (
     learn_correction,
     search_table,
 )
-from sklearn_raacmm.correction._table_search import taken
+from sklearn_raacmm.correction._table_search import with_change
 from sklearn_raacmm.datasets import make_single_point
 
 
@@ -23,7 +23,7 @@ def data():
 
 def take(arm, code):
     """The arm changed by a code that needs no data."""
-    return taken(arm, code, (None, None, None, "rad"))
+    return with_change(arm, code, (None, None, None, "rad"))
 
 
 EXCHANGED = [0, 1, 4, 3, 2, 5]
@@ -237,7 +237,7 @@ def test_zeros_anywhere(data, kind):
     turn = np.exp(1j * (found.arm.theta_offset - data.nominal_arm.theta_offset - zeros))[1:-1]
     np.testing.assert_allclose(turn, 1, atol=0.01)
     measured = data.data - zeros, where.get("positions"), where.get("points"), "rad"
-    assert taken(data.nominal_arm, "zeros", measured) == found.arm
+    assert with_change(data.nominal_arm, "zeros", measured) == found.arm
     with pytest.raises(ValueError, match="zeros are found from labels of positions, or from"):
         take(data.nominal_arm, "zeros")
 
