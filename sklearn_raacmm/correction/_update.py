@@ -302,7 +302,7 @@ def _what_is_wrong(
         return
 
     @cache  # most explanations share it
-    def spread_of(some, table, changes=()):
+    def spread_of(some, table, changes):
         return _Spread(wider.at(np.frombuffer(some, dtype=int)), table, changes)
 
     every = Explanation.of_residuals(
@@ -390,7 +390,7 @@ def _gain(one, given, expected, spread_of, named):
     """
     some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
     rows, other_table = one.rows[some], one.code == "other-table"
-    spread = spread_of(rows.tobytes(), _ANOTHER_TABLE * other_table)
+    spread = spread_of(rows.tobytes(), _ANOTHER_TABLE * other_table, ())
     taus = _ANOTHER if one.code == "another-arm" else _TAUS
     noise = 0.0
     if one.code == "rows-unrelated":  # they scatter by what the model expects of these, too

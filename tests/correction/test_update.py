@@ -15,6 +15,7 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
+from sklearn_raacmm.correction import _update
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import FindingError
@@ -375,6 +376,21 @@ def test_a_jitter_that_is_barely_likelier_a_change_changes_nothing():
         with pytest.warns(UserWarning, match="scatter by"):
             updated = update_correction(model, noisy, shown, **given)
         assert updated.updates_[0]["tau"] == {}
+
+
+def test_explanations_of_the_same_rows_share_their_covariance(model, monkeypatch):
+    made = []
+
+    class Counted(_update._Spread):
+        def __init__(self, expected, *more):
+            made.append((expected.rows.X.tobytes(), *more))
+            super().__init__(expected, *more)
+
+    monkeypatch.setattr(_update, "_Spread", Counted)
+    angles, y = rows(60, 1)
+    with pytest.raises(ValueError, match="sign"):
+        update_correction(model, angles, -y)
+    assert 0 < len(made) == len(set(made))
 
 
 @pytest.mark.parametrize("arcsec", [200, pytest.param(600, marks=pytest.mark.exhaustive)])
