@@ -507,7 +507,13 @@ def refused():
     flat = [POINTS[:, :2], POINTS[:, 0]]  # 2S is of points in space
     one = partial(display.RepeatabilityDisplay.from_predictions, y_pred=RESIDUALS, groups=GROUPS)
     yield one, "points", flat, r"\(n_rows, 3\) is needed"
-    yield repeatability, "perfect", flat, r"points has shape \(40, 3\), but perfect \(40, [12]\)"
+    yield repeatability, "perfect", flat, r"perfect has shape \(40,.*\(n_rows, 3\) is needed"
+    yield (
+        repeatability,
+        "perfect",
+        [POINTS[1:]],
+        r"points has shape \(40, 3\), but perfect \(39, 3\)",
+    )
     yield repeatability, "statistic", ["3s"], "'3s' is not"
     yield repeatability, "interval", [95], "between 0 and 1, got 95"
     yield repeatability, "ax", ["axes", 3.5, np.ones(1), [None]], "Axes of matplotlib are needed"

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
 from sklearn_raacmm.metrics import difference, repeatability_interval, single_point_repeatability
-from sklearn_raacmm.utils import floats
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
 # Places have no order, so that no line joins them.
@@ -147,10 +146,9 @@ class RepeatabilityDisplay:
             If shapes differ, values are not finite, a position holds a single point, or `interval`
             is not between 0 and 1.
         """
-        points = floats("points", points, 3)
-        sides = {"before": points, "after": difference(points=points, y_pred=y_pred)}
+        sides = {"before": points, "after": difference(3, points=points, y_pred=y_pred)}
         if perfect is not None:
-            sides["floor"] = difference(points=points, perfect=perfect)
+            sides["floor"] = difference(3, points=points, perfect=perfect)
         options: dict = {"groups": groups, "statistic": statistic, "aggregate": None}
         values = {side: single_point_repeatability(some, **options) for side, some in sides.items()}
         if interval is not None and statistic != "max":

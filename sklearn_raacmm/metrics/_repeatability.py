@@ -343,9 +343,12 @@ def _minus_scatter(estimator, X, y, *, positions, **options):
     return -single_point_repeatability(left, position, **options)
 
 
-def difference(**both: ArrayLike) -> Floats:
-    """What is left of points or residuals (n, q) less a correction: two arrays, by their names."""
-    (name, points), (other, correction) = ((n, floats(n, v, -1)) for n, v in both.items())
+def difference(columns: int = -1, /, **both: ArrayLike) -> Floats:
+    """What is left of points or residuals less a correction: two arrays, by their names.
+
+    They are of shape (n, columns), by default of any number of columns, the same in both.
+    """
+    (name, points), (other, correction) = ((n, floats(n, v, columns)) for n, v in both.items())
     if points.shape != correction.shape:
         raise ValueError(f"{name} has shape {points.shape}, but {other} {correction.shape}.")
     return points - correction
