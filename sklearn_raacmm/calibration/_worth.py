@@ -42,7 +42,8 @@ def result_of(fit, given, before):
         values[turn] = Rotation.from_matrix(rotation).as_rotvec()
         bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.as_of_three(fit.robust_distances())
+    distances = fit.robust_distances()
+    robust = fit.as_of_three(distances)
     informative = robust[measured.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
@@ -50,7 +51,7 @@ def result_of(fit, given, before):
     outliers = [i for i in farthest if robust[i] > limit]
     rows = tuple(row for i in outliers for row in np.flatnonzero(pose == i).tolist())
     if outliers:  # of touches that show one coordinate a shorter distance is as rare
-        limit = min(limit, float(fit.robust_distances()[outliers].min()))
+        limit = min(limit, float(distances[outliers].min()))
     errors, sd_of_ends = fit.lengths_found()
     # What the table does not explain is much the same in all touches of a feature.
     common = fit.sigma * bool(measured.features)

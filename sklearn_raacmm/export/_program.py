@@ -195,7 +195,7 @@ def _power(x, exponent):
     if power % 0.5:
         raise _unknown(np.power, " but to whole numbers and halves")
     whole, half = divmod(abs(power), 1)
-    found = reduce(mul, [x] * int(whole) + [np.sqrt(x)] * (half > 0), 1.0)
+    found = reduce(mul, [x] * int(whole) + [np.sqrt(x)] * (half > 0) or [1.0])
     return found if power >= 0 else 1.0 / found
 
 

@@ -62,8 +62,9 @@ MAX_FITS = 4
 # Nats for each target by which the robust loss has to lead: tails lead by less, slips of 1 mm by
 # more. And the share of far rows above which they are no slips.
 LEAD, MOST_FAR = 1.0, 0.125
-# The same after the first of these fits: slips to one side, which a function can follow, led by .6
-# then and by 1.4 after the second fit; tails led by .07 to .6, and by .2 to .8.
+# The same after the first of these fits: slips to one side, which a function can follow
+# (``tests/network/test_robust_loss.py``), led by .6 then and by 1.4 after the second fit; tails led
+# by .07 to .6, and by .2 to .8.
 LEAD_AT_FIRST = 0.25
 # Nats for each target that leaving out the far rows has to gain before another fit is made: what
 # gained less on 13 tables was not taken after that fit either.
